@@ -1,0 +1,75 @@
+"""The command line: one module a verb; `launch` is the one place that catches."""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import os
+import sys
+from typing import Annotated
+
+import typer
+
+from stereo_ore import __version__
+from stereo_ore.errors import StereoOreError
+
+VERBS = ("run",)
+"""Modules of this package; each has ``register(app)``."""
+
+EXIT_KNOWN_ERROR, EXIT_USAGE, EXIT_QUALITY = 1, 2, 3
+
+app = typer.Typer(
+    name="stereo-ore",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _show_version(value: bool) -> None:
+    if value:
+        typer.echo(f"stereo-ore {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def main(
+    verbose: Annotated[int, typer.Option("-v", "--verbose", count=True, help="More messages.")] = 0,
+    quiet: Annotated[bool, typer.Option("-q", "--quiet", help="Only warnings, no progress.")] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
+    version: Annotated[bool, typer.Option("--version", callback=_show_version, is_eager=True)] = False,
+) -> None:
+    """Find breaking-size ore on a grizzly screen in recorded stereo pairs.
+
+    Example: `stereo-ore run data/paper_03 --calib data/paper_03/calibration.yaml --out out`
+    """
+    level = logging.WARNING if quiet else (logging.INFO, logging.DEBUG)[min(verbose, 1)]
+    logging.basicConfig(level=level, format="%(message)s", stream=sys.stderr, force=True)
+    for chatty in ("matplotlib", "asyncio", "numba"):
+        logging.getLogger(chatty).setLevel(logging.WARNING)
+    os.environ["STEREO_ORE_DEBUG"] = "1" if debug else ""
+
+
+def load_verbs() -> None:
+    """Register every verb on `app`; the modules import heavy packages only when a verb runs."""
+    if not app.registered_commands and not app.registered_groups:
+        for verb in VERBS:
+            importlib.import_module(f"stereo_ore.cli.{verb}").register(app)
+
+
+def launch(arguments: list[str] | None = None) -> None:
+    """Run the command line; known errors end as one line and exit code 1."""
+    load_verbs()
+    try:
+        app(arguments)
+    except StereoOreError as error:
+        if os.environ.get("STEREO_ORE_DEBUG"):
+            raise
+        typer.echo(f"error: {error}", err=True)
+        sys.exit(EXIT_KNOWN_ERROR)
+    except BrokenPipeError:
+        # The reader of our output went away (`| head`): no message helps, and Python must not try to flush.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(EXIT_KNOWN_ERROR)

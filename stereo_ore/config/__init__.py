@@ -1,0 +1,25 @@
+"""Parameters: one pydantic model a stage, read from YAML and ``--set``, written back resolved."""
+
+from stereo_ore.config.models import (
+    CloudConfig,
+    Config,
+    FilterConfig,
+    GrizzlyConfig,
+    MatchingConfig,
+    SegmentConfig,
+    SolidConfig,
+    StrikeConfig,
+    VoxelConfig,
+)
+
+__all__ = [
+    "CloudConfig",
+    "Config",
+    "FilterConfig",
+    "GrizzlyConfig",
+    "MatchingConfig",
+    "SegmentConfig",
+    "SolidConfig",
+    "StrikeConfig",
+    "VoxelConfig",
+]

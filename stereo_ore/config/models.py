@@ -1,0 +1,101 @@
+"""Every parameter of the program with its default, unit and range: one model a stage."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class StageConfig(BaseModel):
+    """Immutable; an unknown key, a NaN or an infinity is an error."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+def param(default: Any, text: str, unit: str = "", **limits: Any) -> Any:
+    """A field with a description and a unit; `limits` are pydantic's (ge, gt, le, lt)."""
+    return Field(default, description=text, json_schema_extra={"unit": unit} if unit else None, **limits)
+
+
+class MatchingConfig(StageConfig):
+    """Semi-global matching (OpenCV StereoSGBM) and what is done to its disparities."""
+
+    mode: Literal["sgbm", "3way", "hh", "hh4"] = param("3way", "path directions of SGBM")
+    block_size: int = param(5, "side of the matching window, odd", "px", ge=1, le=15)
+    p1: int = param(8, "penalty of a one-level disparity step, times block_size²", ge=0)
+    p2: int = param(32, "penalty of a larger step, times block_size²", ge=1)
+    uniqueness: int = param(5, "margin by which the best cost must win", "%", ge=0, le=50)
+    pre_filter_cap: int = param(31, "truncation of the prefiltered gradient", "grey levels", ge=1, le=63)
+    min_disparity: int | None = param(None, "smallest disparity searched; null: 0, or from the working volume", "px")
+    num_disparities: int | None = param(
+        None, "disparities searched; null: from the working volume, or 128 at 1280 px of width", "px", ge=16
+    )
+    use_region: bool = param(True, "search only the image region and the disparities that the working volume can show")
+    lr_max_diff: float = param(1.0, "left-right difference above which a disparity is dropped", "px", gt=0)
+    speckle_size: int = param(40, "connected disparities fewer than this are dropped (0: off)", "px", ge=0)
+    speckle_range: float = param(1.0, "step that separates them", "px", gt=0)
+    wls: bool = param(False, "smooth with the weighted least squares filter of ximgproc")
+    sigma_px: float = param(0.15, "standard deviation of a disparity, for depth noise", "px", gt=0)
+
+
+class CloudConfig(StageConfig):
+    """Reprojection of disparities into the cloud."""
+
+    max_depth_m: float = param(20.0, "farther points are dropped", "m", gt=0)
+
+
+class VoxelConfig(StageConfig):
+    """The voxel grid."""
+
+    size_m: float | Literal["auto"] = param("auto", "edge of a voxel; auto: `pixels` × pixel size at the screen", "m")
+    pixels: float = param(2.4, "edge of an automatic voxel in pixels at the middle of the scene", "px", gt=0)
+
+
+class FilterConfig(StageConfig):
+    """The outlier filter; its parameters belong to the method."""
+
+    method: str = param("adaptive", "adaptive | paper | paper-tuned | statistical | radius | lof | none")
+    params: dict[str, Any] = param({}, "parameters of the method that differ from its defaults")
+
+
+class GrizzlyConfig(StageConfig):
+    """Finding the plane of the bar tops when the site does not give it."""
+
+    distance_m: float | None = param(None, "inlier distance of the plane; null: from the depth noise", "m", gt=0)
+    max_tilt_rad: float | None = param(None, "largest angle between screen normal and viewing direction", "rad")
+    iterations: int = param(2000, "RANSAC hypotheses", ge=10)
+    seed: int = param(0, "seed of the RANSAC")
+
+
+class SegmentConfig(StageConfig):
+    """Lumps in the image."""
+
+    min_size_m: float = param(0.04, "lumps whose visible width is smaller are dropped, and counted", "m", gt=0)
+
+
+class SolidConfig(StageConfig):
+    """The unseen side of a lump."""
+
+    oversize_margin: float = param(0.0, "share of the opening within which oversize is unknown", ge=0, le=0.5)
+
+
+class StrikeConfig(StageConfig):
+    """Where the tool may strike."""
+
+    tool_diameter_m: float = param(0.04, "diameter of the chisel", "m", gt=0)
+    max_slope_rad: float = param(0.6, "largest angle between face normal and the tool's axis", "rad", gt=0)
+    alternates: int = param(3, "ranked alternates reported", ge=0)
+
+
+class Config(StageConfig):
+    """All parameters of a run."""
+
+    matching: MatchingConfig = MatchingConfig()
+    cloud: CloudConfig = CloudConfig()
+    voxel: VoxelConfig = VoxelConfig()
+    filter: FilterConfig = FilterConfig()
+    grizzly: GrizzlyConfig = GrizzlyConfig()
+    segment: SegmentConfig = SegmentConfig()
+    solid: SolidConfig = SolidConfig()
+    strike: StrikeConfig = StrikeConfig()

@@ -1,0 +1,62 @@
+"""The one family of exceptions for known faults; only the command line catches it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class StereoOreError(Exception):
+    """A known fault, worded for the person who can mend it.
+
+    Parameters
+    ----------
+    problem
+        What is wrong, with the offending value.
+    file
+        The file it was found in, if any.
+    key
+        The dotted key or field it concerns, if any.
+    remedy
+        What to do about it.
+    """
+
+    def __init__(
+        self, problem: str, *, file: str | Path | None = None, key: str | None = None, remedy: str | None = None
+    ) -> None:
+        self.problem, self.file, self.key, self.remedy = problem, file, key, remedy
+        where = ": ".join(str(part) for part in (file, key) if part)
+        text = f"{where}: {problem}" if where else problem
+        super().__init__(f"{text}. {remedy}" if remedy else text)
+
+
+class ConfigError(StereoOreError):
+    """A parameter or site file, or a ``--set`` value, that can't be used."""
+
+
+class CalibrationError(StereoOreError):
+    """A calibration that is malformed, impossible, or made for other images."""
+
+
+class SourceError(StereoOreError):
+    """A recording that can't be opened or is laid out in no known way."""
+
+
+class FrameError(StereoOreError):
+    """One frame that can't be read or processed; the run goes on without it."""
+
+
+class CloudError(StereoOreError):
+    """A point cloud that can't be read, or on which an operation has no meaning."""
+
+
+class OutputError(StereoOreError):
+    """A result that can't be written."""
+
+
+class MissingExtraError(StereoOreError):
+    """An optional part of the program that is not installed."""
+
+    def __init__(self, package: str, extra: str) -> None:
+        super().__init__(
+            f"the optional package {package} is not installed", remedy=f'pip install "stereo-ore[{extra}]"'
+        )
