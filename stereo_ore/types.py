@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -319,6 +320,48 @@ class Grizzly:
     bars: Bars | None = None
     opening_m: float | None = None
     diagnostics: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Site:
+    """Where the camera looks, and the arm; every part may be unknown (None). Plane and volume are in the camera frame.
+
+    `reach_min_m` and `reach_max_m` (3,) bound the tool's tip in the arm frame.
+    """
+
+    T_arm_camera: F64 | None = None
+    volume: Volume | None = None
+    plane: Plane | None = None
+    opening_m: float | None = None
+    bar_width_m: float | None = None
+    background: Path | None = None
+    reach_min_m: F64 | None = None
+    reach_max_m: F64 | None = None
+
+    def __post_init__(self) -> None:
+        if self.T_arm_camera is not None:
+            check_shape(self, "T_arm_camera", self.T_arm_camera, 4, 4)
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Kept points laid back into the image, cropped to the matched rectangle whose corner is (x0, y0).
+
+    xyz (h, w, 3) float32 [m], NaN where no point was kept; bgr (h, w, 3); sigma_z (h, w) float32 [m].
+    Full-image pixel of crop pixel (row i, column j): (u, v) = (x0 + j, y0 + i).
+    """
+
+    xyz: F32
+    bgr: U8
+    sigma_z: F32
+    x0: int
+    y0: int
+    rig: Rig
+
+    def __post_init__(self) -> None:
+        check_shape(self, "xyz", self.xyz, None, None, 3)
+        check_shape(self, "bgr", self.bgr, *self.xyz.shape)
+        check_shape(self, "sigma_z", self.sigma_z, *self.xyz.shape[:2])
 
 
 @dataclass(frozen=True)
