@@ -1,0 +1,79 @@
+"""The values that flow from stage to stage: frozen, their shapes checked when they are made.
+
+Units are metres, pixels, radians and nanoseconds. The frame is the rectified left camera (x right, y down, z forward)
+unless a name says otherwise. A missing measurement is NaN.
+"""
+
+from stereo_ore.types.arrays import (
+    CUES,
+    F32,
+    F64,
+    I16,
+    I32,
+    U8,
+    Mask,
+    check_shape,
+)
+from stereo_ore.types.geometry import (
+    CameraModel,
+    Plane,
+    Region,
+    Rig,
+    Site,
+    StereoCalibration,
+    Volume,
+)
+from stereo_ore.types.results import (
+    FrameResult,
+    Ore,
+    Reason,
+    Solid,
+    Strike,
+    StrikePlan,
+)
+from stereo_ore.types.stages import (
+    Bars,
+    Disparity,
+    FilterResult,
+    Grizzly,
+    OreMap,
+    PointCloud,
+    RectifiedPair,
+    StereoPair,
+    Surface,
+    VoxelCloud,
+)
+
+__all__ = [
+    "CUES",
+    "F32",
+    "F64",
+    "I16",
+    "I32",
+    "U8",
+    "Bars",
+    "CameraModel",
+    "Disparity",
+    "FilterResult",
+    "FrameResult",
+    "Grizzly",
+    "Mask",
+    "Ore",
+    "OreMap",
+    "Plane",
+    "PointCloud",
+    "Reason",
+    "RectifiedPair",
+    "Region",
+    "Rig",
+    "Site",
+    "Solid",
+    "StereoCalibration",
+    "StereoPair",
+    "Strike",
+    "StrikePlan",
+    "Surface",
+    "Volume",
+    "VoxelCloud",
+    "check_shape",
+]

@@ -1,0 +1,184 @@
+"""What flows from one stage to the next: pairs, disparity, clouds, masks, the screen, labels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from stereo_ore.types.arrays import F32, F64, I16, I32, U8, Mask, check_shape
+from stereo_ore.types.geometry import Plane, Region, Rig
+
+
+@dataclass(frozen=True)
+class StereoPair:
+    """One recorded pair as read: BGR images, (H, W, 3) uint8, of one size."""
+
+    name: str
+    index: int
+    left: U8
+    right: U8
+    stamp_ns: int | None = None
+
+    def __post_init__(self) -> None:
+        check_shape(self, "left", self.left, None, None, 3)
+        check_shape(self, "right", self.right, *self.left.shape)
+
+
+@dataclass(frozen=True)
+class RectifiedPair:
+    """Row-aligned BGR images and their geometry."""
+
+    left: U8
+    right: U8
+    rig: Rig
+
+    def __post_init__(self) -> None:
+        check_shape(self, "left", self.left, self.rig.height, self.rig.width, 3)
+        check_shape(self, "right", self.right, self.rig.height, self.rig.width, 3)
+
+
+@dataclass(frozen=True)
+class Disparity:
+    """Left-to-right disparity, (H, W) float32 [px], NaN where there is none, with the matcher's doubts.
+
+    `cues` maps names of `CUES` to (H, W) float32 arrays (any subset); `diagnostics` are counts and settings used.
+    """
+
+    values: F32
+    region: Region
+    cues: Mapping[str, F32] = field(default_factory=dict)
+    diagnostics: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check_shape(self, "values", self.values, None, None)
+        for name, cue in self.cues.items():
+            check_shape(self, f"cues[{name!r}]", cue, *self.values.shape)
+
+
+@dataclass(frozen=True)
+class PointCloud:
+    """Points of one image: xyz (N, 3) float32 [m], flat pixel index v·W + u (N,), BGR (N, 3), depth sigma (N,) [m].
+
+    `image_shape` is (H, W). Points are in ascending pixel order.
+    """
+
+    xyz: F32
+    pixel: I32
+    bgr: U8
+    sigma_z: F32
+    image_shape: tuple[int, int]
+
+    def __post_init__(self) -> None:
+        check_shape(self, "xyz", self.xyz, None, 3)
+        for name in ("pixel", "sigma_z"):
+            check_shape(self, name, getattr(self, name), len(self.xyz))
+        check_shape(self, "bgr", self.bgr, len(self.xyz), 3)
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+
+@dataclass(frozen=True)
+class VoxelCloud:
+    """Points gathered in an anchored grid, sorted by voxel key.
+
+    xyz (M, 3) float32 [m] is the mean of a voxel's points, `count` (M,) how many, `inverse` (N,) the voxel of each
+    point. `sigma_z` (M,) [m] is the depth noise expected of one of its points. `pixel_m` (M,) [m] is the size of a
+    pixel at its depth. `cues` maps names of `CUES` to (M,) means over the points, and is empty for a cloud that no
+    camera made (`sigma_z` and `pixel_m` are then zero).
+    """
+
+    xyz: F32
+    count: I32
+    inverse: I32
+    size_m: float
+    sigma_z: F32
+    pixel_m: F32
+    cues: Mapping[str, F32] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check_shape(self, "xyz", self.xyz, None, 3)
+        for name in ("count", "sigma_z", "pixel_m"):
+            check_shape(self, name, getattr(self, name), len(self.xyz))
+        for name, cue in self.cues.items():
+            check_shape(self, f"cues[{name!r}]", cue, len(self.xyz))
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+
+@dataclass(frozen=True)
+class FilterResult:
+    """Which points to keep and how noisy each looks: keep (M,) bool, score (M,) float32, higher is noisier."""
+
+    keep: Mask
+    score: F32
+    diagnostics: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check_shape(self, "keep", self.keep, None)
+        check_shape(self, "score", self.score, len(self.keep))
+
+
+@dataclass(frozen=True)
+class Bars:
+    """The bars of a grizzly in its plane: each bar's centre line is direction·s + across·(phase + n·pitch).
+
+    `direction` and `across` are unit vectors (3,) in the plane (camera frame); `phase_m` is measured along `across`
+    from the camera frame's origin projected into the plane.
+    """
+
+    direction: F64
+    across: F64
+    pitch_m: float
+    phase_m: float
+    width_m: float
+
+
+@dataclass(frozen=True)
+class Grizzly:
+    """The screen: plane of the bar tops, where it came from, its residual, and the bars when they are known."""
+
+    plane: Plane
+    source: Literal["site", "auto", "background"]
+    rms_m: float | None = None
+    bars: Bars | None = None
+    opening_m: float | None = None
+    diagnostics: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Kept points laid back into the image, cropped to the matched rectangle whose corner is (x0, y0).
+
+    xyz (h, w, 3) float32 [m], NaN where no point was kept; bgr (h, w, 3); sigma_z (h, w) float32 [m].
+    Full-image pixel of crop pixel (row i, column j): (u, v) = (x0 + j, y0 + i).
+    """
+
+    xyz: F32
+    bgr: U8
+    sigma_z: F32
+    x0: int
+    y0: int
+    rig: Rig
+
+    def __post_init__(self) -> None:
+        check_shape(self, "xyz", self.xyz, None, None, 3)
+        check_shape(self, "bgr", self.bgr, *self.xyz.shape)
+        check_shape(self, "sigma_z", self.sigma_z, *self.xyz.shape[:2])
+
+
+@dataclass(frozen=True)
+class OreMap:
+    """Lumps in the image: labels (H, W) int16, 0 = no ore, filled silhouettes; ids 1…n without gaps.
+
+    `cut` are the ids whose outline the image border cuts; `diagnostics` counts what was dropped and why.
+    """
+
+    labels: I16
+    cut: frozenset[int] = frozenset()
+    diagnostics: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check_shape(self, "labels", self.labels, None, None)
