@@ -42,7 +42,14 @@ class SourceError(StereoOreError):
 
 
 class FrameError(StereoOreError):
-    """One frame that can't be read or processed; the run goes on without it."""
+    """One frame that can't be read or processed; the run goes on without it.
+
+    `code` is the stable reason code of the frame's record.
+    """
+
+    def __init__(self, problem: str, *, code: str, file: str | Path | None = None, remedy: str | None = None) -> None:
+        self.code = code
+        super().__init__(problem, file=file, remedy=remedy)
 
 
 class CloudError(StereoOreError):

@@ -1,5 +1,6 @@
 """Parameters: one pydantic model a stage, read from YAML and ``--set``, written back resolved."""
 
+from stereo_ore.config.loader import dump_config, load_config, nearest, validate
 from stereo_ore.config.models import (
     CloudConfig,
     Config,
@@ -22,4 +23,8 @@ __all__ = [
     "SolidConfig",
     "StrikeConfig",
     "VoxelConfig",
+    "dump_config",
+    "load_config",
+    "nearest",
+    "validate",
 ]
