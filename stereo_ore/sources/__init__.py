@@ -1,0 +1,51 @@
+"""Recordings: a SOURCE is recognised by what it is and opened as a sequence of frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from stereo_ore.errors import SourceError
+from stereo_ore.sources.base import Source
+from stereo_ore.sources.folder import open_folder, open_two_files
+from stereo_ore.sources.images import IMAGE_SUFFIXES
+from stereo_ore.sources.side_by_side import open_side_by_side_image
+
+__all__ = ["Source", "open_source", "open_two_files"]
+
+Opener = Callable[[Path], Source]
+
+FILE_OPENERS: dict[str, Opener] = dict.fromkeys(IMAGE_SUFFIXES, open_side_by_side_image)
+"""Openers by file suffix; to add a container format, add its line here."""
+
+
+def open_source(path: Path) -> Source:
+    """Open a recording: a folder in any known layout, or a file.
+
+    Raises
+    ------
+    SourceError
+        When there is nothing there or the layout is none of the known ones, saying what was found.
+    """
+    if path.is_dir():
+        return open_folder(path)
+    if not path.exists():
+        raise SourceError("no such file or folder", file=path, remedy="Check the path")
+    suffix = path.suffix.lower()
+    if suffix in (".svo", ".svo2"):
+        raise SourceError(
+            "an SVO recording can only be read by Stereolabs' own software",
+            file=path,
+            remedy="Export it where the ZED SDK is: ZED_SVO_Export <file.svo> <folder> 4; then run on the folder",
+        )
+    if suffix not in FILE_OPENERS:
+        raise SourceError(f"files ending in {suffix!r} are not known", file=path, remedy=f"Known: {known_layouts()}")
+    return FILE_OPENERS[suffix](path)
+
+
+def known_layouts() -> str:
+    """One sentence that lists what a SOURCE can be."""
+    return (
+        "a folder with left/ and right/; a folder with left*.png right*.png (also *_left/_right, *L/*R); a folder that "
+        "holds left.png right.png, or a folder of such folders; a side-by-side image or a folder of them"
+    )
