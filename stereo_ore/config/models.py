@@ -77,6 +77,7 @@ class SegmentConfig(StageConfig):
 class SolidConfig(StageConfig):
     """The unseen side of a lump."""
 
+    min_points: int = param(30, "lumps with fewer visible points get no solid", ge=4)
     oversize_margin: float = param(0.0, "share of the opening within which oversize is unknown", ge=0, le=0.5)
 
 
@@ -86,6 +87,10 @@ class StrikeConfig(StageConfig):
     tool_diameter_m: float = param(0.04, "diameter of the chisel", "m", gt=0)
     max_slope_rad: float = param(0.6, "largest angle between face normal and the tool's axis", "rad", gt=0)
     alternates: int = param(3, "ranked alternates reported", ge=0)
+
+
+class OrderConfig(StageConfig):
+    """Which lump to break first."""
 
 
 class Config(StageConfig):
@@ -99,3 +104,4 @@ class Config(StageConfig):
     segment: SegmentConfig = SegmentConfig()
     solid: SolidConfig = SolidConfig()
     strike: StrikeConfig = StrikeConfig()
+    order: OrderConfig = OrderConfig()

@@ -1,0 +1,92 @@
+"""Volume, centroid, calliper and box of a convex body given by points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from stereo_ore.types import F64, I32
+
+IN_PLANE_TURNS = 24
+"""Turns of the box tried about each face normal: steps of 90°/24, whose loss in length is below 0.1 %."""
+
+
+@dataclass(frozen=True)
+class Body:
+    """A convex polyhedron: vertices (V, 3), triangles (T, 3) into them, volume [m³] and centroid (3,)."""
+
+    vertices: F64
+    triangles: I32
+    volume: float
+    centroid: F64
+
+
+def convex_body(points: F64) -> Body | None:
+    """Convex hull of (N, 3) points with its volume and centroid, or None when they span no volume.
+
+    The centroid is the volume-weighted mean of the tetrahedra that an inner point makes with the faces.
+    """
+    if len(points) < 4:
+        return None
+    try:
+        hull = ConvexHull(points)
+    except QhullError:
+        return None
+    inner = points[hull.vertices].mean(0)
+    corners = points[hull.simplices] - inner
+    volumes = np.abs(np.linalg.det(corners)) / 6.0
+    if not volumes.sum() > 0:
+        return None
+    centroid = inner + (volumes[:, None] * corners.sum(1)).sum(0) / (4.0 * volumes.sum())
+    number = np.full(len(points), -1, np.int32)
+    number[hull.vertices] = np.arange(len(hull.vertices))
+    return Body(points[hull.vertices], number[hull.simplices], float(volumes.sum()), centroid)
+
+
+def longest_calliper(vertices: F64) -> float:
+    """Largest distance [m] between two of (V, 3) points."""
+    square = (vertices**2).sum(1)
+    return float(np.sqrt(max((square[:, None] + square[None] - 2.0 * vertices @ vertices.T).max(), 0.0)))
+
+
+def smallest_box(body: Body) -> tuple[F64, F64, F64]:
+    """Box of least volume that lies flat on a face of the body.
+
+    Returns
+    -------
+    centre : (3,) array
+    axes : (3, 3) array
+        Unit axes as rows, longest first, right-handed.
+    extent : (3,) array
+        Lengths along them, metres, descending.
+    """
+    normals = _face_normals(body)
+    helper = np.eye(3)[np.abs(normals).argmin(1)]
+    first = np.cross(normals, helper)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    second = np.cross(normals, first)
+    turn = np.arange(IN_PLANE_TURNS) * (0.5 * np.pi / IN_PLANE_TURNS)
+    cos, sin = np.cos(turn)[:, None, None], np.sin(turn)[:, None, None]
+    centred = body.vertices - body.centroid
+    a, b, c = centred @ first.T, centred @ second.T, np.ptp(centred @ normals.T, axis=0)
+    volume = np.ptp(cos * a + sin * b, axis=1) * np.ptp(cos * b - sin * a, axis=1) * c
+    k, face = np.unravel_index(int(volume.argmin()), volume.shape)
+    u = np.cos(turn[k]) * first[face] + np.sin(turn[k]) * second[face]
+    axes = np.stack([u, np.cross(normals[face], u), normals[face]])
+    along = centred @ axes.T
+    low, high = along.min(0), along.max(0)
+    order = np.argsort(low - high, kind="stable")
+    centre = body.centroid + (0.5 * (low + high)) @ axes
+    axes = axes[order]
+    axes[2] = np.cross(axes[0], axes[1])
+    return centre, axes, (high - low)[order]
+
+
+def _face_normals(body: Body) -> F64:
+    """Unit normals (F, 3) of the faces that have an area."""
+    p = body.vertices[body.triangles]
+    normals = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.asarray((normals / np.maximum(length, 1e-300))[length[:, 0] > 0])
