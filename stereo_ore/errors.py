@@ -47,9 +47,17 @@ class FrameError(StereoOreError):
     `code` is the stable reason code of the frame's record.
     """
 
-    def __init__(self, problem: str, *, code: str, file: str | Path | None = None, remedy: str | None = None) -> None:
+    def __init__(
+        self,
+        problem: str,
+        *,
+        code: str,
+        file: str | Path | None = None,
+        key: str | None = None,
+        remedy: str | None = None,
+    ) -> None:
         self.code = code
-        super().__init__(problem, file=file, remedy=remedy)
+        super().__init__(problem, file=file, key=key, remedy=remedy)
 
 
 class CloudError(StereoOreError):

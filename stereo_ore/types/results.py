@@ -7,7 +7,16 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from stereo_ore.types.arrays import F32, F64
-from stereo_ore.types.stages import Disparity, FilterResult, Grizzly, OreMap, PointCloud, RectifiedPair, VoxelCloud
+from stereo_ore.types.stages import (
+    Disparity,
+    FilterResult,
+    Grizzly,
+    OreMap,
+    PointCloud,
+    RectifiedPair,
+    Surface,
+    VoxelCloud,
+)
 
 
 @dataclass(frozen=True)
@@ -92,5 +101,6 @@ class FrameResult:
     cloud: PointCloud | None = None
     voxels: VoxelCloud | None = None
     filtered: FilterResult | None = None
+    surface: Surface | None = None
     ore_map: OreMap | None = None
     stages_ms: Mapping[str, float] = field(default_factory=dict)
