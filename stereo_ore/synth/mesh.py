@@ -1,0 +1,132 @@
+"""Triangle meshes: spheres, boxes, mass properties."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from stereo_ore.types import F64, I32
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """vertices (V, 3) [m] and triangles (F, 3), counter-clockwise seen from outside."""
+
+    vertices: F64
+    triangles: I32
+
+    def moved(self, R: F64, t: F64) -> Mesh:
+        """The mesh with every vertex at R·v + t."""
+        return Mesh(self.vertices @ R.T + t, self.triangles)
+
+
+def merge(meshes: Sequence[Mesh]) -> Mesh:
+    """All meshes as one."""
+    starts = np.cumsum([0] + [len(m.vertices) for m in meshes[:-1]])
+    return Mesh(
+        np.concatenate([m.vertices for m in meshes]),
+        np.concatenate([m.triangles + np.int32(s) for m, s in zip(meshes, starts, strict=True)]).astype(np.int32),
+    )
+
+
+@lru_cache(maxsize=8)
+def icosphere(subdivisions: int) -> Mesh:
+    """The unit sphere as an icosahedron whose triangles are split in four `subdivisions` times."""
+    phi = (1 + 5**0.5) / 2
+    v = np.array([(s, t * phi, 0) for s in (-1, 1) for t in (-1, 1)], float)
+    vertices = np.concatenate([v, np.roll(v, 1, 1), np.roll(v, 2, 1)])
+    i, j, k = np.array(np.meshgrid(*[np.arange(12)] * 3, indexing="ij")).reshape(3, -1)
+    edge = np.linalg.norm(vertices[:, None] - vertices[None], axis=2) < 2.1
+    face = (i < j) & (j < k) & edge[i, j] & edge[j, k] & edge[i, k]
+    triangles = _outwards(vertices, np.stack([i, j, k], 1)[face])
+    for _ in range(subdivisions):
+        vertices, triangles = _split(vertices, triangles)
+    vertices = vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
+    return Mesh(vertices, triangles.astype(np.int32))
+
+
+def _outwards(vertices: F64, triangles: I32) -> I32:
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), a) < 0
+    return np.where(inward[:, None], triangles[:, ::-1], triangles)
+
+
+def _split(vertices: F64, triangles: I32) -> tuple[F64, I32]:
+    edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    unique, inverse = np.unique(edges, axis=0, return_inverse=True)
+    middle = vertices[unique].mean(1)
+    middle /= np.linalg.norm(middle, axis=1, keepdims=True) / np.linalg.norm(vertices[0])
+    ab, bc, ca = (len(vertices) + inverse.reshape(-1, 3)).T
+    a, b, c = triangles.T
+    faces = np.stack([np.stack(f, 1) for f in ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))], 1)
+    return np.concatenate([vertices, middle]), faces.reshape(-1, 3)
+
+
+def box(low: Sequence[float], high: Sequence[float], cell: float) -> Mesh:
+    """An axis-aligned box whose faces are grids of cells no longer than `cell` [m]."""
+    lo, hi = np.array(low, float), np.array(high, float)
+    faces = []
+    for axis in range(3):
+        u, v = (axis + 1) % 3, (axis + 2) % 3
+        for at, flip in ((lo, True), (hi, False)):
+            origin = lo.copy()
+            origin[axis] = at[axis]
+            faces.append(rectangle(origin, np.eye(3)[u] * (hi - lo)[u], np.eye(3)[v] * (hi - lo)[v], cell, flip=flip))
+    return merge(faces)
+
+
+def rectangle(origin: F64, side_u: F64, side_v: F64, cell: float, flip: bool = False) -> Mesh:
+    """The rectangle origin + a·side_u + b·side_v, 0 ≤ a, b ≤ 1, facing along side_u × side_v (or against it)."""
+    nu, nv = (max(1, int(np.ceil(np.linalg.norm(s) / cell))) for s in (side_u, side_v))
+    a, b = np.meshgrid(np.linspace(0, 1, nu + 1), np.linspace(0, 1, nv + 1), indexing="ij")
+    vertices = origin + a.reshape(-1, 1) * side_u + b.reshape(-1, 1) * side_v
+    i = (np.arange(nu)[:, None] * (nv + 1) + np.arange(nv)).ravel()
+    triangles = np.concatenate([np.stack([i, i + nv + 1, i + nv + 2], 1), np.stack([i, i + nv + 2, i + 1], 1)])
+    return Mesh(vertices, (triangles[:, ::-1] if flip else triangles).astype(np.int32))
+
+
+def volume_and_centre(mesh: Mesh) -> tuple[float, F64]:
+    """Volume [m³] and centre of mass (3,) [m] of a closed mesh: the sum over signed tetrahedra to the origin."""
+    a, b, c = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
+    six_volumes = np.einsum("ij,ij->i", a, np.cross(b, c))
+    total = six_volumes.sum()
+    return float(total / 6), ((a + b + c) * six_volumes[:, None]).sum(0) / (4 * total)
+
+
+def callipers(mesh: Mesh) -> tuple[F64, float, float]:
+    """Sorted sides of the smallest box around a mesh, and its longest and shortest calliper [m].
+
+    The box and the shortest calliper are sought over directions normal to a face of the convex hull (the box's
+    second direction over the edges of the projected hull), which holds the exact shortest face-vertex width.
+    """
+    from scipy.spatial import ConvexHull
+
+    hull = ConvexHull(mesh.vertices)
+    points = mesh.vertices[hull.vertices]
+    normals = _distinct(hull.equations[:, :3])
+    spread = np.ptp(points @ normals.T, axis=0)
+    longest = max(float(np.linalg.norm(points - p, axis=1).max()) for p in points)
+    boxes = np.array([[w, *_smallest_rectangle(points, n)] for n, w in zip(normals, spread, strict=True)])
+    best = boxes[boxes.prod(1).argmin()]
+    return np.sort(best)[::-1], longest, float(spread.min())
+
+
+def _distinct(normals: F64) -> F64:
+    """One normal a cell of about 3°, opposite directions taken as one."""
+    flipped = normals * np.where(normals[:, 2:3] < 0, -1, 1)
+    return flipped[np.unique((flipped * 20).round().astype(int), axis=0, return_index=True)[1]]
+
+
+def _smallest_rectangle(points: F64, normal: F64) -> tuple[float, float]:
+    """Sides of the smallest rectangle, in steps of 2°, around the points projected along `normal`."""
+    u = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
+    u /= np.linalg.norm(u)
+    v = np.cross(normal, u)
+    angle = np.radians(np.arange(0, 90, 2))
+    a = np.ptp((points @ u)[:, None] * np.cos(angle) + (points @ v)[:, None] * np.sin(angle), axis=0)
+    b = np.ptp((points @ v)[:, None] * np.cos(angle) - (points @ u)[:, None] * np.sin(angle), axis=0)
+    best = (a * b).argmin()
+    return float(a[best]), float(b[best])

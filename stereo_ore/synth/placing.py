@@ -1,0 +1,137 @@
+"""Laying lumps on the screen: each falls until it touches, then rolls downhill until its centre can't sink further."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stereo_ore.synth.mesh import Mesh, icosphere
+from stereo_ore.types import F64
+
+ROUNDS, PROPOSALS = 30, 12
+
+
+@dataclass
+class HeightField:
+    """Height [m] of what lies highest above each cell of a grid in the screen's plane; −1 where nothing does."""
+
+    x0: float
+    y0: float
+    cell: float
+    heights: F64
+
+    @classmethod
+    def over(cls, half_size: tuple[float, float], cell: float) -> HeightField:
+        """An empty field over |x| ≤ half_size[0], |y| ≤ half_size[1]."""
+        nx, ny = (int(np.ceil(2 * h / cell)) + 1 for h in half_size)
+        return cls(-half_size[0], -half_size[1], cell, np.full((nx, ny), -1.0))
+
+    def at(self, xy: F64) -> F64:
+        """Height at (..., 2) points; outside the field the bars' level."""
+        i = np.rint((xy[..., 0] - self.x0) / self.cell).astype(int)
+        j = np.rint((xy[..., 1] - self.y0) / self.cell).astype(int)
+        inside = (i >= 0) & (i < self.heights.shape[0]) & (j >= 0) & (j < self.heights.shape[1])
+        clipped = i.clip(0, self.heights.shape[0] - 1), j.clip(0, self.heights.shape[1] - 1)
+        return np.where(inside, self.heights[clipped], 0.0)
+
+    def add(self, mesh: Mesh) -> None:
+        """Raise the field to the top of a mesh, seen by rays from above."""
+        import open3d as o3d
+
+        scene = o3d.t.geometry.RaycastingScene(nthreads=1)
+        scene.add_triangles(mesh.vertices.astype(np.float32), mesh.triangles.astype(np.uint32))
+        low, high = mesh.vertices.min(0), mesh.vertices.max(0)
+        i = self._cells(low[0], high[0], self.x0, self.heights.shape[0])
+        j = self._cells(low[1], high[1], self.y0, self.heights.shape[1])
+        if not len(i) or not len(j):
+            return
+        x, y = np.meshgrid(self.x0 + i * self.cell, self.y0 + j * self.cell, indexing="ij")
+        top = float(high[2]) + 0.01
+        down = np.broadcast_to([0.0, 0.0, -1.0], (*x.shape, 3))
+        rays = np.concatenate([np.stack([x, y, np.full_like(x, top)], -1), down], -1).astype(np.float32)
+        height = top - scene.cast_rays(o3d.core.Tensor(rays), nthreads=1)["t_hit"].numpy()
+        patch = np.ix_(i, j)
+        self.heights[patch] = np.maximum(self.heights[patch], np.where(np.isfinite(height), height, -1.0))
+
+    def _cells(self, low: float, high: float, start: float, count: int) -> F64:
+        first, last = np.floor((low - start) / self.cell), np.ceil((high - start) / self.cell)
+        return np.arange(max(0, first), min(count - 1, last) + 1).astype(int)
+
+
+def drop(points: F64, field: HeightField) -> F64:
+    """How far down (...,) each body of (..., V, 3) points may move until one point touches the field [m]."""
+    return (points[..., 2] - field.at(points[..., :2])).min(-1)
+
+
+def settle(mesh: Mesh, field: HeightField, R: F64, xy: F64, rng: np.random.Generator) -> tuple[F64, F64]:
+    """Rotation and position (3,) of a body, centre of mass in its origin, that came to rest on the field.
+
+    Potential energy is the height of the centre; a body rests where no small turn or shift lowers it. Proposals
+    shrink from 12° and 6 % of the size to a tenth of that, and lower ones are taken.
+    """
+    coarse = mesh.vertices[: len(icosphere(3).vertices)]
+    size = float(np.linalg.norm(np.ptp(coarse, axis=0)))
+    z = -float(drop(_placed(coarse, R[None], xy[None]), field)[0])
+    for step in range(ROUNDS):
+        scale = 0.1 ** (step / (ROUNDS - 1))
+        turns = _small_rotations(rng, np.radians(12) * scale, PROPOSALS) @ R
+        places = xy + rng.normal(0, 0.06 * size * scale / 2, (PROPOSALS, 2))
+        heights = -drop(_placed(coarse, turns, places), field)
+        best = int(heights.argmin())
+        if heights[best] < z:
+            R, xy, z = turns[best], places[best], float(heights[best])
+    z = -float(drop(_placed(mesh.vertices, R[None], xy[None]), field)[0])
+    return R, np.array([*xy, z])
+
+
+def _placed(points: F64, turns: F64, places: F64) -> F64:
+    placed = np.einsum("nij,vj->nvi", turns, points)
+    placed[..., :2] += places[:, None]
+    return placed
+
+
+def _small_rotations(rng: np.random.Generator, angle: float, count: int) -> F64:
+    """Rotations (count, 3, 3) about random axes by normally distributed angles (Rodrigues' formula)."""
+    axis = rng.normal(size=(count, 3))
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    a = rng.normal(0, angle, count)[:, None, None]
+    K = np.zeros((count, 3, 3))
+    K[:, [0, 1, 2], [1, 2, 0]], K[:, [1, 2, 0], [0, 1, 2]] = -axis[:, [2, 0, 1]], axis[:, [2, 0, 1]]
+    return np.eye(3) + np.sin(a) * K + (1 - np.cos(a)) * (K @ K)
+
+
+def pile(
+    meshes: Sequence[Mesh], field: HeightField, spread: tuple[float, float], rng: np.random.Generator, sink_m: float
+) -> list[tuple[F64, F64]]:
+    """Rest poses (R, t) of meshes laid one after another within |x|, |y| ≤ spread; the field grows with them.
+
+    A body that falls between the bars, its centre lower than `sink_m` above them, or that rolls off the screen is
+    dropped again; the last try is kept wherever it lies highest.
+    """
+    from stereo_ore.synth.rocks import random_rotation
+
+    poses = []
+    for mesh in meshes:
+        tries = []
+        for _ in range(6):
+            at = rng.uniform(-1, 1, 2) * np.array(spread)
+            R, t = settle(mesh, field, flat_rotation(rng, random_rotation(rng)), at, rng)
+            inside = bool((np.abs(t[:2]) <= np.array(spread)).all())
+            tries.append((inside, t[2], R, t))
+            if inside and t[2] > sink_m:
+                break
+        _, _, R, t = max(tries, key=lambda one: (one[0], one[1] > sink_m, one[1]))
+        field.add(mesh.moved(R, t))
+        poses.append((R, t))
+    return poses
+
+
+def flat_rotation(rng: np.random.Generator, R: F64) -> F64:
+    """A rotation as lumps land: two of three lie down, any way round and tilted a little, the rest as they come."""
+    if rng.random() < 1 / 3:
+        return R
+    a = rng.uniform(0, 2 * np.pi)
+    turn = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
+    return np.asarray(turn @ _small_rotations(rng, 0.25, 1)[0])

@@ -1,0 +1,68 @@
+"""Random broken rock: convex polyhedra with worn edges and a rough skin."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stereo_ore.synth.mesh import Mesh, icosphere, volume_and_centre
+from stereo_ore.types import F64
+
+PROPORTIONS = {
+    "block": (1.0, 0.80, 0.64),
+    "chunk": (1.0, 0.86, 0.74),
+    "slab": (1.0, 0.74, 0.38),
+    "long": (1.0, 0.48, 0.42),
+}
+"""Longest, middle and shortest dimension of each kind of lump, before each is varied by a fifth."""
+
+
+def rock(rng: np.random.Generator, shape: str, longest_m: float, subdivisions: int = 5) -> Mesh:
+    """A closed rock of a kind in `PROPORTIONS`, its centre of mass in the origin, its long axis along x.
+
+    The distance of the skin in direction d is the smooth minimum over random planes n·x = h,
+    r(d) = (Σ max(n·d, 0)/h)^p)^(−1/p), roughened by four octaves of noise; the result is stretched to the proportions.
+    """
+    sphere = icosphere(subdivisions)
+    d = sphere.vertices
+    count, sharpness = int(rng.integers(14, 26)), rng.uniform(14, 40)
+    normals = rng.normal(size=(count, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = np.concatenate([normals, np.eye(3), -np.eye(3)])
+    distances = rng.uniform(0.8, 1.1, count + 6)
+    radius = (np.maximum(d @ normals.T, 0) / distances) ** sharpness
+    radius = radius.sum(1) ** (-1 / sharpness)
+    radius = radius * (1 + roughness(rng, d * radius[:, None]))
+    vertices = d * radius[:, None] * np.array(PROPORTIONS[shape]) * rng.uniform(0.82, 1.18, 3)
+    vertices = vertices @ _small_shear(rng)
+    vertices *= longest_m / np.ptp(vertices, axis=0).max()
+    mesh = Mesh(vertices, sphere.triangles)
+    return Mesh(vertices - volume_and_centre(mesh)[1], sphere.triangles)
+
+
+def roughness(rng: np.random.Generator, xyz: F64, amplitude: float = 0.07) -> F64:
+    """Four octaves of lattice noise at (N, 3) points of a body of size 2."""
+    from scipy.ndimage import map_coordinates
+
+    total = np.zeros(len(xyz))
+    for octave in range(4):
+        lattice = rng.uniform(-1, 1, (16, 16, 16))
+        at = (xyz * 1.3 * 2**octave + rng.uniform(0, 16, 3)).T
+        total += amplitude * 0.5**octave * map_coordinates(lattice, at, order=1, mode="grid-wrap")
+    return total
+
+
+def random_rotation(rng: np.random.Generator) -> F64:
+    """A uniformly distributed rotation (3, 3), from a random unit quaternion."""
+    w, x, y, z = (q := rng.normal(size=4)) / np.linalg.norm(q)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def _small_shear(rng: np.random.Generator) -> F64:
+    """Skews a body a little, so that no two faces are exactly parallel."""
+    return np.eye(3) + np.triu(rng.uniform(-0.2, 0.2, (3, 3)), 1)
