@@ -1,0 +1,151 @@
+"""What every calibration must fulfil, whatever file it came from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from stereo_ore.errors import CalibrationError
+from stereo_ore.transforms import rotation_fault
+from stereo_ore.types import F64, CameraModel, StereoCalibration
+
+Images = Literal["rectified", "raw"]
+
+LONGEST_BASELINE_M = 10.0
+WIDEST_TURN_RAD = 1.0
+ROTATION_DECIMALS = 12
+"""Rotation vectors are kept to 1e-12 rad, so that a calibration written and read again is the same to the last bit."""
+
+
+def make_calibration(
+    file: str | Path,
+    *,
+    image_size: Sequence[int],
+    left: CameraModel,
+    right: CameraModel,
+    rotation: npt.ArrayLike = (0.0, 0.0, 0.0),
+    translation_m: npt.ArrayLike,
+    images: Images,
+    disparity_offset_px: float = 0.0,
+    camera: str = "",
+) -> StereoCalibration:
+    """A calibration whose geometry is possible.
+
+    Parameters
+    ----------
+    file
+        Named in the errors.
+    rotation : (3,) or (3, 3) array
+        Rotation vector [rad] or matrix that takes left coordinates to right ones.
+    translation_m : (3,) array
+        X_right = R·X_left + t.
+
+    Raises
+    ------
+    CalibrationError
+        With all faults: focal lengths, principal points, distortion, rotation, baseline.
+    """
+    R, t = np.asarray(rotation, float), np.asarray(translation_m, float).ravel()
+    R = rotation_matrix(R) if R.size == 3 else R
+    faults = [*_eye_faults("left", left, image_size), *_eye_faults("right", right, image_size)]
+    faults += [*_rotation_faults(R), *_translation_faults(t)]
+    if images == "rectified" and not faults:
+        faults += _rectified_faults(left, right, R, t)
+    if not np.isfinite(disparity_offset_px):
+        faults.append("disparity_offset_px is not finite")
+    if faults:
+        text = faults[0] if len(faults) == 1 else f"{len(faults)} faults:\n  " + "\n  ".join(faults)
+        raise CalibrationError(text, file=file)
+    size = (int(image_size[0]), int(image_size[1]))
+    R = rotation_matrix(rotation_vector(R))
+    return StereoCalibration(size, left, right, R, t, images, float(disparity_offset_px), camera)
+
+
+def rotation_matrix(vector: F64) -> F64:
+    """The (3, 3) rotation of a rotation vector [rad] (Rodrigues)."""
+    return np.asarray(cv2.Rodrigues(vector.reshape(3, 1))[0], np.float64)
+
+
+def rotation_vector(R: F64) -> F64:
+    """Axis times angle [rad] of a rotation of less than 90°, to `ROTATION_DECIMALS`; exact near zero."""
+    axis = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) / 2
+    sine = float(np.linalg.norm(axis))
+    angle = np.arctan2(sine, (np.trace(R) - 1) / 2)
+    vector = np.round(axis * (angle / sine if sine > 0 else 1.0), ROTATION_DECIMALS)
+    return np.asarray(vector + 0.0, np.float64)
+
+
+def check_image_size(calibration: StereoCalibration, width: int, height: int) -> None:
+    """Refuse images of another size than the calibration's; scaling would be a guess (see `convert`).
+
+    Raises
+    ------
+    CalibrationError
+        Naming both sizes.
+    """
+    w, h = calibration.image_size
+    if (w, h) != (width, height):
+        raise CalibrationError(
+            f"the calibration {calibration.camera!r} is for images of {w}×{h} px, these have {width}×{height}",
+            key="image_size",
+            remedy="Use the calibration of this resolution; for a ZED, `calibrate import --to` converts one exactly",
+        )
+
+
+def _eye_faults(name: str, eye: CameraModel, size: Sequence[int]) -> Iterator[str]:
+    values = (*eye.focal_px, *eye.principal_point_px, *eye.distortion)
+    if not np.isfinite(values).all():
+        yield f"{name}: has numbers that are not finite: {[float(v) for v in values]}"
+        return
+    if min(eye.focal_px) <= 0:
+        yield f"{name}.focal_px: must be greater than 0, not {list(eye.focal_px)}"
+    if not all(0 < c < n for c, n in zip(eye.principal_point_px, size, strict=True)):
+        yield (
+            f"{name}.principal_point_px: {list(eye.principal_point_px)} lies outside images of {size[0]}×{size[1]} px;"
+            " is image_size that of the calibration?"
+        )
+    allowed = (0, 4, 5, 8) if eye.projection == "pinhole" else (4,)
+    if len(eye.distortion) not in allowed:
+        yield f"{name}.distortion: must have {' or '.join(map(str, allowed))} values, not {len(eye.distortion)}"
+
+
+def _rotation_faults(R: F64) -> Iterator[str]:
+    if R.shape != (3, 3):
+        yield f"right_from_left: the rotation must be a 3-vector or a 3×3 matrix, not {R.shape}"
+    elif fault := rotation_fault(R):
+        yield f"right_from_left: the rotation {fault}"
+    elif (turn := float(np.arccos(np.clip((np.trace(R) - 1) / 2, -1, 1)))) > WIDEST_TURN_RAD:
+        yield f"right_from_left: the eyes are turned by {turn:.2f} rad against each other; are these degrees?"
+
+
+def _translation_faults(t: F64) -> Iterator[str]:
+    key = "right_from_left.translation_m"
+    length = float(np.linalg.norm(t))
+    if t.shape != (3,) or not np.isfinite(t).all():
+        yield f"{key}: must be 3 finite numbers, not {t.tolist()}"
+    elif length == 0:
+        yield f"{key}: the baseline is zero"
+    elif length > LONGEST_BASELINE_M:
+        yield f"{key}: a baseline of {length:g} m; millimetres given for metres?"
+    elif abs(t[0]) < np.hypot(t[1], t[2]):
+        yield f"{key}: {t.tolist()} is not along x; the eyes must stand side by side"
+    elif t[0] > 0:
+        yield f"{key}: x must be negative (X_right = R·X_left + t), not {t[0]:g}; are left and right swapped?"
+
+
+def _rectified_faults(left: CameraModel, right: CameraModel, R: F64, t: F64) -> Iterator[str]:
+    """Rectified images have one focal length and one row for both eyes, no distortion and no rotation."""
+    remedy = "; if the recorded images are not rectified, say images: raw"
+    if any(left.distortion) or any(right.distortion):
+        yield f"images are said to be rectified, but the lenses have distortion{remedy}"
+    if not np.allclose(R, np.eye(3), atol=1e-6) or not np.allclose(t[1:], 0, atol=1e-6):
+        yield f"images are said to be rectified, but right_from_left is more than a shift along x{remedy}"
+    if not np.allclose(left.focal_px, right.focal_px, rtol=1e-6):
+        yield f"images are said to be rectified, but the focal lengths of the eyes differ{remedy}"
+    if abs(left.principal_point_px[1] - right.principal_point_px[1]) > 1e-3:
+        yield f"images are said to be rectified, but the principal points lie in different rows{remedy}"
