@@ -1,0 +1,109 @@
+"""The anchored voxel grid: one sorted cell for the points that fall into it, and the way back to them."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from stereo_ore.config import VoxelConfig
+from stereo_ore.errors import CloudError
+from stereo_ore.types import F32, Disparity, PointCloud, Rig, Volume, VoxelCloud
+
+Int64 = npt.NDArray[np.int64]
+
+SIZE_STEP_M = 0.0005
+"""Automatic sizes are multiples of this, so that the grid stays the same from frame to frame."""
+
+MAX_BITS = 62
+
+
+def voxel_size(config: VoxelConfig, rig: Rig, volume: Volume | None, cloud: PointCloud) -> float:
+    """Edge of a voxel [m]: the configured one, or `pixels` × the size of a pixel at the scene's middle depth.
+
+    The middle depth is the cloud's median, or that of the volume's corners when the cloud is empty.
+    """
+    if config.size_m != "auto":
+        return float(config.size_m)
+    if len(cloud):
+        depth = float(np.median(cloud.xyz[:, 2]))
+    elif volume is not None:
+        depth = max(float(np.median(volume.corners[:, 2])), 0.0)
+    else:
+        depth = 1.0
+    return max(round(config.pixels * depth / rig.fx / SIZE_STEP_M), 1) * SIZE_STEP_M
+
+
+def voxelise(cloud: PointCloud, disparity: Disparity, rig: Rig, size_m: float) -> VoxelCloud:
+    """Gather points in cells of a grid anchored at the camera's origin.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        Points [m].
+    disparity : Disparity
+        Its cues are averaged over the points of each voxel.
+    rig : Rig
+        For the size of a pixel.
+    size_m : float
+        Edge of a voxel [m].
+
+    Returns
+    -------
+    VoxelCloud
+        Sorted by voxel key (x, then y, then z).
+
+    Raises
+    ------
+    CloudError
+        When the grid would have more cells than a key can number.
+    """
+    order, start, count = _group(_keys(cloud.xyz, size_m))
+    inverse = np.empty(len(order), np.int32)
+    inverse[order] = np.repeat(np.arange(len(count), dtype=np.int32), count)
+
+    def mean(values: npt.NDArray[np.floating]) -> F32:
+        if not len(count):
+            return np.zeros(0, np.float32)
+        return (np.add.reduceat(values[order], start, dtype=np.float64) / count).astype(np.float32)
+
+    xyz = np.stack([mean(cloud.xyz[:, axis]) for axis in range(3)], -1)
+    return VoxelCloud(
+        xyz,
+        count.astype(np.int32),
+        inverse,
+        size_m,
+        mean(cloud.sigma_z),
+        (xyz[:, 2] / rig.fx).astype(np.float32),
+        {name: mean(cue.ravel()[cloud.pixel]) for name, cue in disparity.cues.items()},
+    )
+
+
+def _keys(xyz: F32, size_m: float) -> Int64:
+    """One number a cell, ascending in x, then y, then z; counted from the cloud's corner, which moves no cell."""
+    if not len(xyz):
+        return np.zeros(0, np.int64)
+    cells = np.floor(xyz / np.float64(size_m))
+    cells -= cells.min(0)
+    extent = cells.max(0) + 1
+    if np.log2(extent).sum() + np.log2(len(xyz)) > MAX_BITS:
+        raise CloudError(
+            f"voxels of {size_m:.3g} m are too small for a cloud of {extent.max() * size_m:.3g} m",
+            key="voxel.size_m",
+            remedy="Use larger voxels, or a smaller working volume",
+        )
+    ix, iy, iz = cells.astype(np.int64).T
+    return np.asarray((ix * int(extent[1]) + iy) * int(extent[2]) + iz)
+
+
+def _group(keys: Int64) -> tuple[Int64, Int64, Int64]:
+    """Stable order by key, and the start and the length of each run of equal keys.
+
+    Key and position are packed into one number, because a plain sort is several times faster than an argsort.
+    """
+    bits = max(len(keys) - 1, 1).bit_length()
+    packed = np.sort((keys << bits) | np.arange(len(keys), dtype=np.int64))
+    order, keys = packed & ((1 << bits) - 1), packed >> bits
+    first = np.ones(len(keys), bool)
+    first[1:] = keys[1:] != keys[:-1]
+    start = np.flatnonzero(first)
+    return order, start, np.diff(np.append(start, len(keys)))
