@@ -66,6 +66,11 @@ class GrizzlyConfig(StageConfig):
     max_tilt_rad: float | None = param(None, "largest angle between screen normal and viewing direction", "rad")
     iterations: int = param(2000, "RANSAC hypotheses", ge=10)
     seed: int = param(0, "seed of the RANSAC")
+    sigmas: float = param(2.5, "inlier distance in standard deviations of the depth noise", gt=0)
+    min_contrast: float = param(
+        0.15, "a plane whose bars explain less of what is solid and open is no screen", ge=0, le=1
+    )
+    refinements: int = param(3, "times the plane found is fitted again to its bars", ge=0)
 
 
 class SegmentConfig(StageConfig):

@@ -1,0 +1,90 @@
+"""The screen: the plane of the bar tops, given by the site or found in the cloud, and the bars in it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from stereo_ore.config import GrizzlyConfig
+from stereo_ore.errors import FrameError
+from stereo_ore.grizzly.bars import BarFit, fit_bars
+from stereo_ore.grizzly.plane import Sample, candidate_planes, draw_sample, refine, residual
+from stereo_ore.types import Grizzly, Plane, Site, Surface
+
+__all__ = ["find"]
+
+MIN_POINTS = 200
+
+
+def find(surface: Surface, site: Site, config: GrizzlyConfig) -> Grizzly:
+    """The grizzly under and around the ore.
+
+    Parameters
+    ----------
+    surface : Surface
+        Kept points in the image.
+    site : Site
+        Its plane is taken as it is and only measured; without one the plane is found. A known opening and bar width
+        fix the pitch of the bars, otherwise the pitch is measured too.
+    config : GrizzlyConfig
+        Tolerances and the seed.
+
+    Raises
+    ------
+    FrameError
+        No plane was given, and none in the cloud is cut into bars.
+    """
+    sample = draw_sample(surface, config)
+    if site.plane is not None:
+        return _measured(sample, site, site.plane)
+    return _found(sample, site, config)
+
+
+def _measured(sample: Sample, site: Site, plane: Plane) -> Grizzly:
+    """The site's plane with its residual on the bars and how far the cloud disagrees with it."""
+    if len(sample) < MIN_POINTS:
+        return _grizzly(plane, "site", None, site, {"points": len(sample)})
+    fit = fit_bars(sample, plane, site.opening_m, site.bar_width_m)
+    rms, inliers = residual(sample, plane, fit)
+    other = refine(sample, plane, fit)
+    tilt = float(np.arccos(np.clip(other.normal @ plane.normal, -1, 1)))
+    middle = np.median(sample.xyz, axis=0)
+    gap = float(other.height(middle) - plane.height(middle))
+    return _grizzly(
+        plane, "site", rms, site, {"inlier_share": inliers, "cloud_tilt_rad": tilt, "cloud_offset_m": gap}, fit
+    )
+
+
+def _found(sample: Sample, site: Site, config: GrizzlyConfig) -> Grizzly:
+    """The candidate plane that is widest and most clearly cut into bars."""
+    best: tuple[float, Plane, BarFit] | None = None
+    for plane, area in candidate_planes(sample, config):
+        fit = fit_bars(sample, plane, site.opening_m, site.bar_width_m)
+        score = area * fit.contrast
+        if fit.bars is not None and fit.contrast >= config.min_contrast and (best is None or score > best[0]):
+            best = score, plane, fit
+    if best is None:
+        raise FrameError(
+            f"no plane of bars was found among {len(sample):,} points",
+            code="NO_SCREEN",
+            remedy="Give grizzly.plane in the site file, or check that screen and working volume are in view",
+        )
+    for _ in range(config.refinements):
+        plane = refine(sample, best[1], best[2])
+        best = best[0], plane, fit_bars(sample, plane, site.opening_m, site.bar_width_m)
+    _, plane, fit = best
+    rms, inliers = residual(sample, plane, fit)
+    return _grizzly(plane, "auto", rms, site, {"inlier_share": inliers}, fit)
+
+
+def _grizzly(
+    plane: Plane, source: Any, rms: float | None, site: Site, diagnostics: dict[str, Any], fit: BarFit | None = None
+) -> Grizzly:
+    bars = fit.bars if fit else None
+    opening = site.opening_m
+    if opening is None and bars is not None:
+        opening = bars.pitch_m - bars.width_m
+    if fit:
+        diagnostics |= {"bar_contrast": fit.contrast}
+    return Grizzly(plane, source, rms, bars, opening, diagnostics)

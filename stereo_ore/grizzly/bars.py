@@ -1,0 +1,159 @@
+"""The bars in a plane: direction, pitch, width and phase from where the plane is solid and where one sees through it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stereo_ore.types import F64, Bars, Mask, Plane
+
+if TYPE_CHECKING:
+    from stereo_ore.grizzly.plane import Sample
+
+COARSE, FINE = 60, 21
+"""Directions tried over half a turn, and then around the best of them."""
+BINS = 400
+"""Bins across the screen, and PHASES across one pitch."""
+PHASES = 60
+MIN_BARS, MAX_BARS = 2, 40
+MIN_DUTY, MAX_DUTY = 0.08, 0.6
+
+
+@dataclass(frozen=True)
+class BarFit:
+    """The bars, if any, and the share of the variance of solid/open that they explain (0…1)."""
+
+    bars: Bars | None
+    contrast: float
+
+    def covers(self, xyz: F64) -> Mask:
+        """True for each of (N, 3) points that lies over a bar."""
+        if self.bars is None:
+            return np.zeros(len(xyz), bool)
+        across = xyz @ self.bars.across - self.bars.phase_m
+        from_centre = np.abs(across - self.bars.pitch_m * np.round(across / self.bars.pitch_m))
+        return np.asarray(from_centre < self.bars.width_m / 2)
+
+
+def fit_bars(sample: Sample, plane: Plane, opening_m: float | None, bar_width_m: float | None) -> BarFit:
+    """Bars of a plane.
+
+    Each pixel's ray is cut with the plane: where the point seen lies on the plane the plane is solid there (+1), where
+    it lies beneath the plane is open (−1); a point above says nothing. The direction is the one along which this
+    signal varies least; the pitch the one whose folded signal has the best window of solid.
+
+    Parameters
+    ----------
+    sample : Sample
+        Points with their tolerances.
+    plane : Plane
+        Plane of the bar tops.
+    opening_m, bar_width_m : float or None
+        Known clear distance and bar width [m]; both together fix the pitch and the width.
+    """
+    q, signal, axes = _rays_in_plane(sample, plane)
+    if len(q) < PHASES or signal.min() > 0 or signal.max() < 0:
+        return BarFit(None, 0.0)
+    angle = _direction(q, signal)
+    across2 = np.array([-np.sin(angle), np.cos(angle)])
+    position = q @ across2
+    comb = _comb(position, signal, opening_m, bar_width_m)
+    if comb is None:
+        return BarFit(None, 0.0)
+    pitch, phase, width = comb
+    solid = np.abs(_wrap(position - phase, pitch)) < width / 2
+    contrast = _explained(solid.astype(np.intp), signal)
+    direction = np.array([np.cos(angle), np.sin(angle)]) @ axes
+    return BarFit(Bars(direction, across2 @ axes, float(pitch), float(phase), float(width)), contrast)
+
+
+def _rays_in_plane(sample: Sample, plane: Plane) -> tuple[F64, F64, F64]:
+    """Where each ray meets the plane (N, 2) [m], solid +1 or open −1 (N,), and the plane's axes (2, 3)."""
+    height = plane.height(sample.xyz)
+    known = height < sample.tolerance
+    xyz, height = sample.xyz[known], height[known]
+    signal = np.where(height > -sample.tolerance[known], 1.0, -1.0)
+    hit = xyz * (plane.offset / (height + plane.offset))[:, None]
+    x = np.array([1.0, 0, 0]) - plane.normal[0] * plane.normal
+    x /= np.linalg.norm(x)
+    axes = np.stack([x, np.cross(plane.normal, x)])
+    return hit @ axes.T, signal, axes
+
+
+def _wrap(value: F64, period: float) -> F64:
+    """Value folded into −period/2 … period/2."""
+    return np.asarray(value - period * np.round(value / period))
+
+
+def _explained(group: np.ndarray, signal: F64) -> float:
+    """Share of the variance of the signal that is between groups (0…1)."""
+    count = np.bincount(group)
+    total = np.bincount(group, signal)
+    between = float((total**2 / np.maximum(count, 1)).sum()) - signal.sum() ** 2 / len(signal)
+    within = len(signal) - signal.sum() ** 2 / len(signal)
+    return between / within if within > 0 else 0.0
+
+
+def _direction(q: F64, signal: F64) -> float:
+    """Angle of the bars in the plane [rad]: the signal summed along them varies most across them."""
+
+    def contrast(angle: float) -> float:
+        position = q @ np.array([-np.sin(angle), np.cos(angle)])
+        low, high = np.percentile(position, (1, 99))
+        group = np.clip((position - low) / max(high - low, 1e-9) * (BINS // 2), 0, BINS // 2)
+        return _explained(group.astype(np.intp), signal)
+
+    angles = np.arange(COARSE) * np.pi / COARSE
+    best = angles[int(np.argmax([contrast(a) for a in angles]))]
+    for span in (np.pi / COARSE, np.pi / COARSE / 8):
+        angles = best + np.linspace(-span, span, FINE)
+        best = angles[int(np.argmax([contrast(a) for a in angles]))]
+    return float(best)
+
+
+def _comb(
+    position: F64, signal: F64, opening_m: float | None, bar_width_m: float | None
+) -> tuple[float, float, float] | None:
+    """Pitch, phase and width [m] of the comb that agrees best with the signal."""
+    low, high = np.percentile(position, (1, 99))
+    extent = float(high - low)
+    if opening_m is not None and bar_width_m is not None:
+        pitches = (opening_m + bar_width_m) * np.linspace(0.98, 1.02, 9)
+        if pitches[0] > extent:
+            return None
+    else:
+        pitches = extent / np.geomspace(MIN_BARS, MAX_BARS, 240)
+    balanced = _balanced(position, signal, low, extent)
+    folds = [_best_window(position, balanced, p, bar_width_m) for p in pitches]
+    best = int(np.argmax([f[0] for f in folds]))
+    if opening_m is None or bar_width_m is None:
+        pitches = pitches[best] * np.linspace(0.97, 1.03, 31)
+        folds = [_best_window(position, balanced, p, bar_width_m) for p in pitches]
+        best = int(np.argmax([f[0] for f in folds]))
+    return float(pitches[best]), folds[best][1], folds[best][2]
+
+
+def _balanced(position: F64, signal: F64, low: float, extent: float) -> F64:
+    """The signal with each bin across the screen brought to the same weight, solid and open to the same sum."""
+    group = np.clip((position - low) / max(extent, 1e-9) * BINS, 0, BINS).astype(np.intp)
+    even = signal / np.bincount(group)[group]
+    solid = even > 0
+    return np.where(solid, even / even[solid].sum(), -even / even[~solid].sum())
+
+
+def _best_window(position: F64, signal: F64, pitch: float, width_m: float | None) -> tuple[float, float, float]:
+    """Sum, phase [m] and width [m] of the window whose periodic repetition holds the most signal."""
+    fold = np.bincount(((position % pitch) / pitch * PHASES).astype(np.intp) % PHASES, signal, PHASES)
+    sums = np.concatenate([[0.0], np.cumsum(np.tile(fold, 2))])
+    if width_m is not None:
+        lengths = np.array([round(width_m / pitch * PHASES)])
+    else:
+        lengths = np.arange(round(MIN_DUTY * PHASES), round(MAX_DUTY * PHASES))
+    starts = np.arange(PHASES)
+    window = sums[starts[:, None] + lengths] - sums[starts][:, None]
+    start, length = np.unravel_index(int(np.argmax(window)), window.shape)
+    middle = (starts[start] + lengths[length] / 2) / PHASES * pitch
+    width = width_m if width_m is not None else float(lengths[length]) / PHASES * pitch
+    return float(window[start, length]), float(middle % pitch), width

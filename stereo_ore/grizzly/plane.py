@@ -1,0 +1,138 @@
+"""Candidate planes by seeded RANSAC, and their refinement on the bars."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from stereo_ore.config import GrizzlyConfig
+from stereo_ore.grizzly.bars import BarFit
+from stereo_ore.types import F64, Mask, Plane, Surface
+
+SAMPLE = 20_000
+"""Points looked at: enough to place a plane to a tenth of the depth noise."""
+SCORED = 2_500
+"""Of these, the ones each RANSAC hypothesis is scored on."""
+CANDIDATES = 5
+MIN_ANGLE_RAD = 0.1
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Points of a regular image grid: xyz (N, 3) [m], inlier distance (N,) [m], surface share of each (N,) [m²]."""
+
+    xyz: F64
+    tolerance: F64
+    area: F64
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+
+def draw_sample(surface: Surface, config: GrizzlyConfig) -> Sample:
+    """Every n-th pixel in both directions, with the distance within which it may lie on a plane.
+
+    The distance is `sigmas` of the depth noise, or the configured constant. The area grows with z², so that near and
+    far parts of an oblique screen weigh the same.
+    """
+    valid = int(np.isfinite(surface.xyz[..., 2]).sum())
+    step = max(1, int(np.sqrt(valid / SAMPLE)))
+    xyz = surface.xyz[::step, ::step].reshape(-1, 3).astype(np.float64)
+    sigma = surface.sigma_z[::step, ::step].reshape(-1).astype(np.float64)
+    keep = np.isfinite(xyz[:, 2]) & np.isfinite(sigma)
+    xyz, sigma = xyz[keep], sigma[keep]
+    tolerance = np.full(len(xyz), config.distance_m) if config.distance_m else config.sigmas * sigma
+    area = (xyz[:, 2] / surface.rig.fx * step) ** 2
+    return Sample(xyz, tolerance, area)
+
+
+def candidate_planes(sample: Sample, config: GrizzlyConfig) -> Iterator[tuple[Plane, float]]:
+    """The widest planes in turn, each with its area [m²]; the points of one are not offered to the next.
+
+    RANSAC: planes through random triples, scored by the area of the points within tolerance times the spread of these
+    points, so that a wide sparse screen wins over a compact rock.
+    """
+    rng = np.random.default_rng(config.seed)
+    left = np.ones(len(sample), bool)
+    for _ in range(CANDIDATES):
+        index = np.flatnonzero(left)
+        if len(index) < SCORED // 10:
+            return
+        chosen = rng.choice(index, min(SCORED, len(index)), replace=False)
+        plane = _ransac(sample, chosen, config, rng)
+        if plane is None:
+            return
+        inlier = _inliers(sample, plane) & left
+        plane = _least_squares(sample, inlier, plane)
+        inlier = _inliers(sample, plane) & left
+        yield plane, float(sample.area[inlier].sum())
+        left &= ~inlier
+
+
+def _ransac(sample: Sample, chosen: np.ndarray, config: GrizzlyConfig, rng: np.random.Generator) -> Plane | None:
+    xyz, tolerance, area = sample.xyz[chosen], sample.tolerance[chosen], sample.area[chosen]
+    a, b, c = xyz[rng.integers(0, len(xyz), (3, config.iterations))]
+    normals = np.cross(b - a, c - a)
+    length = np.linalg.norm(normals, axis=1)
+    normals = normals[length > 0] / length[length > 0, None]
+    offsets = np.einsum("ij,ij->i", normals, a[length > 0])
+    flip = np.where(offsets > 0, -1.0, 1.0)
+    normals, offsets = normals * flip[:, None], offsets * flip
+    view = xyz.mean(0) / np.linalg.norm(xyz.mean(0))
+    limit = np.cos(config.max_tilt_rad) if config.max_tilt_rad is not None else np.sin(MIN_ANGLE_RAD)
+    keep = -(normals @ view) >= limit
+    if not keep.any():
+        return None
+    normals, offsets = normals[keep], offsets[keep]
+    inlier = np.abs(normals @ xyz.T - offsets[:, None]) < tolerance
+    score = inlier @ area * _spread(inlier, xyz)
+    best = int(np.argmax(score))
+    return Plane(normals[best], float(offsets[best]))
+
+
+def _spread(inlier: Mask, xyz: F64) -> F64:
+    """Root mean square distance of the inliers of each hypothesis from their centre, (K,) [m]."""
+    weight = inlier.astype(np.float32)
+    count = np.maximum(weight.sum(1), 1)
+    centred = (xyz - xyz.mean(0)).astype(np.float32)
+    mean = weight @ centred / count[:, None]
+    square = weight @ (centred**2).sum(1) / count
+    return np.asarray(np.sqrt(np.maximum(square - (mean**2).sum(1), 0)), dtype=np.float64)
+
+
+def _inliers(sample: Sample, plane: Plane) -> Mask:
+    return np.abs(plane.height(sample.xyz)) < sample.tolerance
+
+
+def _least_squares(sample: Sample, inlier: Mask, fallback: Plane) -> Plane:
+    """Total least squares through the inliers, each weighted by area over squared noise."""
+    if inlier.sum() < 3:
+        return fallback
+    xyz = sample.xyz[inlier]
+    weight = sample.area[inlier] / np.maximum(sample.tolerance[inlier], 1e-6) ** 2
+    centre = weight @ xyz / weight.sum()
+    scatter = ((xyz - centre) * weight[:, None]).T @ (xyz - centre)
+    normal = np.linalg.eigh(scatter)[1][:, 0]
+    normal = -normal if normal @ centre > 0 else normal
+    return Plane(normal, float(normal @ centre))
+
+
+def refine(sample: Sample, plane: Plane, fit: BarFit) -> Plane:
+    """The plane through the points on the bars alone: not the frame, nor ore that happens to lie at their height."""
+    return _least_squares(sample, _on_bars(sample, plane, fit), plane)
+
+
+def residual(sample: Sample, plane: Plane, fit: BarFit) -> tuple[float | None, float]:
+    """Root mean square height [m] of the points on the bars, and the share of all points that they are."""
+    on_bars = _on_bars(sample, plane, fit)
+    if not on_bars.any():
+        return None, 0.0
+    height = plane.height(sample.xyz[on_bars])
+    return float(np.sqrt(np.mean(height**2))), float(on_bars.mean())
+
+
+def _on_bars(sample: Sample, plane: Plane, fit: BarFit) -> Mask:
+    inlier = _inliers(sample, plane)
+    return inlier & fit.covers(sample.xyz) if fit.bars is not None else inlier
