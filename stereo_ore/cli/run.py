@@ -2,7 +2,24 @@
 
 from __future__ import annotations
 
+import json
+import logging
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
 import typer
+
+from stereo_ore.errors import FrameError, SourceError
+
+if TYPE_CHECKING:
+    from stereo_ore.pipeline import Context
+    from stereo_ore.sources import Source
+    from stereo_ore.types import Site
+
+log = logging.getLogger(__name__)
 
 
 def register(app: typer.Typer) -> None:
@@ -10,5 +27,182 @@ def register(app: typer.Typer) -> None:
     app.command()(run)
 
 
-def run() -> None:
-    """Recorded pairs → ore point sets, centres of gravity, targets."""
+def run(
+    source: Annotated[Path | None, typer.Argument(help="Recording: folder or file in any known layout.")] = None,
+    calib: Annotated[Path, typer.Option("--calib", help="Calibration of the camera.")] = ...,  # type: ignore[assignment]
+    out: Annotated[Path, typer.Option("--out", help="Folder for the results.")] = ...,  # type: ignore[assignment]
+    site: Annotated[Path | None, typer.Option(help="Site: arm, working volume, grizzly.")] = None,
+    config: Annotated[Path | None, typer.Option(help="Parameters that differ from the defaults.")] = None,
+    settings: Annotated[list[str] | None, typer.Option("--set", help="One parameter: key.sub=value.")] = None,
+    left: Annotated[Path | None, typer.Option(help="Left image, instead of SOURCE.")] = None,
+    right: Annotated[Path | None, typer.Option(help="Right image, instead of SOURCE.")] = None,
+    save_stages: Annotated[bool, typer.Option("--save-stages", help="Also write stages/<frame>.npz.")] = False,
+    start: Annotated[int, typer.Option(min=0, help="First frame, counted from 0.")] = 0,
+    stop: Annotated[int | None, typer.Option(min=0, help="Frame to stop before.")] = None,
+    every: Annotated[int, typer.Option(min=1, help="Take each n-th frame.")] = 1,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue a run that was stopped.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a different run in --out.")] = False,
+    strict: Annotated[bool, typer.Option("--strict", help="Stop at the first frame that fails.")] = False,
+    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
+) -> None:
+    """Recorded pairs → ore point sets, centres of gravity, targets.
+
+    Example: `stereo-ore run recording --calib calib/zed2_hd720.yaml --site site.yaml --out out`
+    """
+    from stereo_ore import batch, pipeline
+    from stereo_ore.calibration import load
+    from stereo_ore.config import load_config
+    from stereo_ore.sinks.frame_files import FrameFiles
+    from stereo_ore.sinks.run_folder import RunFolder
+    from stereo_ore.site import load_site
+    from stereo_ore.types import Site
+
+    recording = _open(source, left, right)
+    calibration = load(calib, image_size=_frame_size(recording))
+    place = load_site(site) if site else Site()
+    context = pipeline.make_context(calibration, place, load_config(config, settings or ()))
+    indices = range(len(recording.names))[start:stop:every]
+    if not indices:
+        raise SourceError(f"has {len(recording.names)} frames, none of them selected", file=recording.path)
+    _announce(place, len(indices))
+    job = batch.Job(recording, context, FrameFiles(out, save_stages), strict)
+    description = _description(recording, indices, context, {"calib": calib, "site": site, "config": config})
+    with RunFolder(out, description, resume=resume, overwrite=overwrite) as folder:
+        _write_inputs(out, context, calib, site)
+        todo = indices[folder.done :]
+        with _progress(len(indices), folder.done) as advance:
+            for lines in batch.run(job, todo, workers):
+                folder.add(lines)
+                advance()
+        folder.finish()
+    _summarise(out)
+
+
+def _open(source: Path | None, left: Path | None, right: Path | None) -> Source:
+    from stereo_ore.sources import open_source, open_two_files
+
+    if left and right and source is None:
+        return open_two_files(left, right)
+    if source is None or left or right:
+        raise typer.BadParameter("give either SOURCE or both --left and --right")
+    return open_source(source)
+
+
+def _frame_size(recording: Source) -> tuple[int, int] | None:
+    """Width and height of the first frame that can be read: some calibration files hold several resolutions."""
+    for index in range(len(recording.names)):
+        try:
+            left = recording.read(index).left
+        except FrameError:
+            continue
+        return left.shape[1], left.shape[0]
+    return None
+
+
+def _announce(site: Site, frames: int) -> None:
+    log.info("%d frame%s", frames, "" if frames == 1 else "s")
+    if site.T_arm_camera is None:
+        log.warning("no arm_from_camera in a site file: positions are in the camera frame only, not for an arm")
+    if site.opening_m is None:
+        log.warning("no grizzly opening in a site file: oversize stays unknown where it can't be measured")
+
+
+def _description(recording: Source, indices: range, context: Context, files: dict[str, Path | None]) -> dict[str, Any]:
+    from stereo_ore.batch import sha256
+    from stereo_ore.sinks.run_folder import versions
+
+    region = context.region
+    return {
+        "schema": "stereo_ore/run/1",
+        "versions": versions(),
+        "source": str(recording.path),
+        "frames": [indices.start, indices.stop, indices.step],
+        "parameters": context.config.model_dump(mode="json"),
+        "files": {key: {"path": str(path), "sha256": sha256(path)} for key, path in files.items() if path},
+        "search": {
+            "rectangle_px": [region.x0, region.y0, region.x1, region.y1],
+            "min_disparity_px": region.min_disparity,
+            "num_disparities": region.num_disparities,
+        },
+    }
+
+
+def _write_inputs(out: Path, context: Context, calib: Path, site: Path | None) -> None:
+    from stereo_ore.calibration import dump
+    from stereo_ore.config import dump_config
+    from stereo_ore.sinks.atomic import write_bytes, write_text
+
+    write_text(out / "config.yaml", dump_config(context.config))
+    write_text(out / "calibration.yaml", dump(context.calibration))
+    if site:
+        write_bytes(out / "site.yaml", site.read_bytes())
+
+
+@contextmanager
+def _progress(total: int, done: int) -> Iterator[Any]:
+    """A bar on a terminal, silence in a pipe or with -q."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    shown = sys.stderr.isatty() and log.isEnabledFor(logging.INFO)
+    columns = (TextColumn("frames"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), disable=not shown) as bar:
+        task = bar.add_task("frames", total=total, completed=done)
+        yield lambda: bar.advance(task)
+
+
+def _summarise(out: Path) -> None:
+    """A line a target on standard output, and what went wrong on standard error."""
+    from rich.console import Console
+
+    frames = [json.loads(line) for line in (out / "frames.jsonl").read_text(encoding="utf-8").splitlines()]
+    failed = [frame for frame in frames if frame["status"] == "failed"]
+    for frame in failed[:5]:
+        log.warning("frame %s failed: %s", frame["frame"], frame["reasons"][-1]["detail"])
+    if frames and len(failed) == len(frames):
+        reason = failed[0]["reasons"][-1]
+        raise FrameError(f"no frame could be processed; the first: {reason['detail']}", code=reason["code"])
+    if len(frames) == 1:
+        Console().print(_ore_table(frames[0]))
+    counts = {
+        status: sum(frame["status"] == status for frame in frames) for status in ("ok", "degraded", "empty", "failed")
+    }
+    summary = ", ".join(f"{count} {status}" for status, count in counts.items() if count)
+    ores, targets = (sum(frame["counts"][key] for frame in frames) for key in ("ores", "targets"))
+    typer.echo(f"{len(frames)} frames ({summary}), {ores} ores, {targets} targets: {out}")
+
+
+def _ore_table(frame: dict[str, Any]) -> Any:
+    """The ores of one frame as a table for people, targets first."""
+    from rich.table import Table
+
+    base = "arm" if frame["arm_frame"] else "camera"
+    table = Table(title=f"frame {frame['frame']}: {frame['status']}")
+    for heading in ("target", "ore", "size [mm]", "volume [l]", f"centre of gravity, {base} [m]", "± [mm]", "oversize"):
+        table.add_column(heading)
+    table.add_column(f"strike, {base} [m]")
+    rank = {ore: place for place, ore in enumerate(frame["targets"], 1)}
+    for ore in sorted(frame["ores"], key=lambda ore: (rank.get(ore["id"], len(rank) + 1), ore["id"])):
+        table.add_row(str(rank.get(ore["id"], "")), *_ore_cells(ore, base))
+    return table
+
+
+def _ore_cells(ore: dict[str, Any], base: str) -> tuple[str, ...]:
+    centre, strike = ore["centre_of_gravity"], ore["strike"]
+    size = " × ".join(f"{1000 * length:.0f}" for length in ore["size_m"]) if ore["size_m"] else ""
+    volume = f"{1000 * ore['volume_m3']:.2f}" if ore["volume_m3"] is not None else ""
+    sigma = f"{1000 * max(centre['sigma_m']):.0f}" if centre else ""
+    oversize = {True: "yes", False: "no", None: "?"}[ore["oversize"]]
+    where = _vector(strike["point"][base]) if strike else ", ".join(sorted({r["code"] for r in ore["reasons"]}))
+    return str(ore["id"]), size, volume, _vector(centre[base]) if centre else "", sigma, oversize, where
+
+
+def _vector(values: list[float]) -> str:
+    return " ".join(f"{value:+.3f}" for value in values)

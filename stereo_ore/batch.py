@@ -1,0 +1,92 @@
+"""Many frames: one after the other, or in worker processes; results come in order either way."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import deque
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+from stereo_ore.errors import FrameError
+from stereo_ore.pipeline import Context, process_frame
+from stereo_ore.record import record, to_line
+from stereo_ore.sinks.frame_files import FrameFiles
+from stereo_ore.sinks.run_folder import FrameLines
+from stereo_ore.sources import Source
+
+
+@dataclass(frozen=True)
+class Job:
+    """What a worker needs to turn a frame's index into lines and files; can be sent to another process."""
+
+    source: Source
+    context: Context
+    files: FrameFiles
+    strict: bool = False
+
+    def __call__(self, index: int) -> FrameLines:
+        """Process frame `index` and write its files.
+
+        Raises
+        ------
+        FrameError
+            With `strict`, for a frame that failed.
+        """
+        result = process_frame(self.source, index, self.context)
+        if self.strict and result.status == "failed":
+            reason = result.reasons[-1]
+            raise FrameError(f"frame {result.name} failed: {reason.detail}", code=reason.code)
+        line = to_line(record(result, self.context.site))
+        stages = {name: round(ms, 3) for name, ms in result.stages_ms.items()}
+        timing = {"frame": result.name, "stages_ms": stages, "total_ms": round(sum(stages.values()), 3)}
+        self.files.write(result)
+        inputs = {"frame": result.name, "files": {str(path): sha256(path) for path in self.source.files(index)}}
+        return FrameLines(line, json.dumps(timing), json.dumps(inputs))
+
+
+def run(job: Job, indices: Sequence[int], workers: int = 1) -> Iterator[FrameLines]:
+    """Lines of each frame, in order of `indices`; the same for any number of workers."""
+    if workers == 1 or len(indices) < 2:
+        yield from map(job, indices)
+        return
+    # Spawned, not forked: OpenCV's and BLAS's threads do not survive a fork.
+    with ProcessPoolExecutor(workers, get_context("spawn"), _start_worker, (job,)) as pool:
+        pending: deque[Future[FrameLines]] = deque()
+        try:
+            for index in indices:
+                pending.append(pool.submit(_work, index))
+                # A bound on the queue bounds memory when a frame takes longer than those after it.
+                if len(pending) > 2 * workers:
+                    yield pending.popleft().result()
+            while pending:
+                yield pending.popleft().result()
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+_job: Job | None = None
+
+
+def _start_worker(job: Job) -> None:
+    import cv2
+
+    global _job
+    _job = job
+    cv2.setNumThreads(1)
+
+
+def _work(index: int) -> FrameLines:
+    assert _job is not None, "the pool's initialiser ran"
+    return _job(index)
+
+
+def sha256(path: Path) -> str | None:
+    """SHA-256 of a file; None when it can't be read."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError:
+        return None

@@ -1,0 +1,208 @@
+"""The order of the stages: one recorded pair in, one `FrameResult` out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+
+from stereo_ore import cloud, filters, grizzly, matching, order, rectify, segment, solid, strike, voxels
+from stereo_ore.config import Config
+from stereo_ore.errors import FrameError
+from stereo_ore.sources import Source
+from stereo_ore.types import (
+    FrameResult,
+    Mask,
+    Ore,
+    OreMap,
+    Reason,
+    Region,
+    Site,
+    Solid,
+    StereoCalibration,
+    StereoPair,
+    StrikePlan,
+    Surface,
+)
+
+COUNTS = ("pixels", "disparities", "points", "voxels", "kept", "ores", "targets")
+MIN_DISPARITY_SHARE = 0.2
+"""Below this share of matched pixels in the search region a frame is degraded: a covered lens, dust, no light."""
+
+
+@dataclass(frozen=True)
+class Context:
+    """All that is fixed for a run: calibration, site, parameters, and what follows from them."""
+
+    calibration: StereoCalibration
+    site: Site
+    config: Config
+    rectifier: rectify.Rectifier
+    region: Region
+
+
+def make_context(calibration: StereoCalibration, site: Site, config: Config) -> Context:
+    """Prepare a run.
+
+    Raises
+    ------
+    CalibrationError, ConfigError
+        When calibration, site and parameters contradict each other.
+    """
+    rectifier = rectify.make_rectifier(calibration)
+    region = matching.find_region(rectifier.rig, site.volume, config.matching)
+    filters.parameters(config.filter)
+    return Context(calibration, site, config, rectifier, region)
+
+
+def process_frame(source: Source, index: int, context: Context) -> FrameResult:
+    """Read and process frame `index`; what can't be read is a failed frame with a reason, not an exception."""
+    start = time.perf_counter()
+    try:
+        pair = source.read(index)
+    except FrameError as error:
+        return _failed(FrameResult(source.names[index], index, None, "failed", (), dict.fromkeys(COUNTS, 0)), error)
+    read_ms = 1000 * (time.perf_counter() - start)
+    result = process(pair, context)
+    return replace(result, stages_ms={"read": read_ms, **result.stages_ms})
+
+
+def process(pair: StereoPair, context: Context) -> FrameResult:
+    """The whole chain on one pair.
+
+    A fault in the frame ends the chain early: the result then holds what was reached, a status other than "ok", and
+    the reason.
+    """
+    result = FrameResult(pair.name, pair.index, pair.stamp_ns, "ok", (), dict.fromkeys(COUNTS, 0))
+    steps: tuple[tuple[str, Step], ...] = (
+        ("rectify", lambda r: replace(r, pair=rectify.rectify(pair, context.rectifier))),
+        ("match", lambda r: _match(r, context)),
+        ("cloud", lambda r: _cloud(r, context)),
+        ("voxels", lambda r: _voxels(r, context)),
+        ("filter", lambda r: _filter(r, context)),
+        ("grizzly", lambda r: _grizzly(r, context)),
+        ("segment", lambda r: _segment(r, context)),
+        ("ores", lambda r: _ores(r, context)),
+    )
+    times: dict[str, float] = {}
+    for name, step in steps:
+        start = time.perf_counter()
+        try:
+            result = step(result)
+        except FrameError as error:
+            return replace(_failed(result, error), stages_ms=times)
+        times[name] = 1000 * (time.perf_counter() - start)
+    return replace(_judge(result), stages_ms=times)
+
+
+Step = Callable[[FrameResult], FrameResult]
+Value = TypeVar("Value")
+
+
+def _match(result: FrameResult, context: Context) -> FrameResult:
+    pair = _have(result.pair)
+    disparity = matching.match(pair, context.region, context.config.matching)
+    valid = int(np.isfinite(disparity.values).sum())
+    result = _count(replace(result, disparity=disparity), pixels=disparity.values.size, disparities=valid)
+    region = context.region
+    share = valid / max((region.x1 - region.x0) * (region.y1 - region.y0), 1)
+    if share < MIN_DISPARITY_SHARE:
+        detail = (
+            f"{100 * share:.0f} % of the pixels searched have a disparity; {100 * MIN_DISPARITY_SHARE:.0f} % wanted"
+        )
+        result = _degrade(result, Reason("FEW_DISPARITIES", detail))
+    return result
+
+
+def _cloud(result: FrameResult, context: Context) -> FrameResult:
+    config = context.config
+    disparity, pair = _have(result.disparity), _have(result.pair)
+    points = cloud.reproject(disparity, pair, context.site.volume, config.cloud, config.matching.sigma_px)
+    result = _count(replace(result, cloud=points), points=len(points))
+    if len(points) == 0:
+        raise FrameError("no point lies in the working volume", code="NO_POINTS", remedy="Check site and calibration")
+    return result
+
+
+def _voxels(result: FrameResult, context: Context) -> FrameResult:
+    points, disparity, rig = _have(result.cloud), _have(result.disparity), context.rectifier.rig
+    size_m = voxels.voxel_size(context.config.voxel, rig, context.site.volume, points)
+    grid = voxels.voxelise(points, disparity, rig, size_m)
+    return _count(replace(result, voxels=grid), voxels=len(grid))
+
+
+def _filter(result: FrameResult, context: Context) -> FrameResult:
+    grid = _have(result.voxels)
+    filtered = filters.apply(grid, context.config.filter)
+    keep_points: Mask = filtered.keep[grid.inverse]
+    surface = cloud.surface(_have(result.cloud), keep_points, _have(result.pair), context.region)
+    return _count(replace(result, filtered=filtered, surface=surface), kept=int(filtered.keep.sum()))
+
+
+def _grizzly(result: FrameResult, context: Context) -> FrameResult:
+    found = grizzly.find(_have(result.surface), context.site, context.config.grizzly)
+    return replace(result, grizzly=found)
+
+
+def _segment(result: FrameResult, context: Context) -> FrameResult:
+    surface, screen = _have(result.surface), _have(result.grizzly)
+    ore_map = segment.segment(surface, screen, context.site.volume, context.config.segment)
+    return _count(replace(result, ore_map=ore_map), ores=int(ore_map.labels.max(initial=0)))
+
+
+def _ores(result: FrameResult, context: Context) -> FrameResult:
+    surface, ore_map, screen = _have(result.surface), _have(result.ore_map), _have(result.grizzly)
+    config, site = context.config, context.site
+    solids = solid.solids(surface, ore_map, screen, config.solid)
+    plans = strike.plans(surface, ore_map, solids, screen, site, config.strike)
+    targets = order.order(solids, plans, site, config.order)
+    ores = _describe(surface, ore_map, solids, plans)
+    return _count(replace(result, ores=ores, targets=targets), targets=len(targets))
+
+
+def _describe(
+    surface: Surface, ore_map: OreMap, solids: tuple[Solid | None, ...], plans: tuple[StrikePlan, ...]
+) -> tuple[Ore, ...]:
+    height, width = surface.xyz.shape[:2]
+    labels = ore_map.labels[surface.y0 : surface.y0 + height, surface.x0 : surface.x0 + width]
+    n = len(solids)
+    measured = (labels > 0) & np.isfinite(surface.xyz[:, :, 2])
+    pixels = np.bincount(ore_map.labels.ravel(), minlength=n + 1)
+    points = np.bincount(labels[measured], minlength=n + 1)
+    sums = [np.bincount(labels[measured], surface.xyz[:, :, axis][measured], n + 1) for axis in range(3)]
+    centroids = np.stack(sums, 1) / np.maximum(points, 1)[:, None]
+    return tuple(
+        Ore(id, int(points[id]), int(pixels[id]), id in ore_map.cut, centroids[id], solids[id - 1], plans[id - 1])
+        for id in range(1, n + 1)
+    )
+
+
+def _judge(result: FrameResult) -> FrameResult:
+    """Final status: nothing found is "empty", and a degraded frame gives no targets."""
+    if result.status == "degraded":
+        return _count(replace(result, targets=()), targets=0)
+    if not result.ores:
+        return replace(result, status="empty", reasons=(*result.reasons, Reason("NO_ORE", "no lump on the screen")))
+    return result
+
+
+def _degrade(result: FrameResult, reason: Reason) -> FrameResult:
+    return replace(result, status="degraded", reasons=(*result.reasons, reason))
+
+
+def _failed(result: FrameResult, error: FrameError) -> FrameResult:
+    reason = Reason(error.code, str(error))
+    return replace(result, status="failed", reasons=(*result.reasons, reason), ores=(), targets=())
+
+
+def _count(result: FrameResult, **counts: int) -> FrameResult:
+    return replace(result, counts={**result.counts, **counts})
+
+
+def _have(value: Value | None) -> Value:
+    """The value that an earlier stage has put in place."""
+    assert value is not None, "stages run in order"
+    return value

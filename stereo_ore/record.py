@@ -1,0 +1,125 @@
+"""The record of a frame: `FrameResult` → the JSON object that other programs read (schema/frame-1.json)."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable
+from typing import Any
+
+import numpy.typing as npt
+
+from stereo_ore import transforms
+from stereo_ore.types import F64, FrameResult, Grizzly, Ore, Reason, Site, Solid, Strike
+
+SCHEMA = "stereo_ore/frame/1"
+DECIMALS = 6
+"""Metres are written to the micrometre: finer digits are noise, and would differ between machines."""
+
+Json = dict[str, Any]
+
+
+def record(result: FrameResult, site: Site) -> Json:
+    """The record of one frame; lengths in metres, camera frame and, where the site gives it, arm frame."""
+    frames = _Frames(site.T_arm_camera)
+    return {
+        "schema": SCHEMA,
+        "frame": result.name,
+        "index": result.index,
+        "stamp_ns": result.stamp_ns,
+        "status": result.status,
+        "reasons": _reasons(result.reasons),
+        "units": "m",
+        "camera_frame": "left_rectified",
+        "arm_frame": "arm" if site.T_arm_camera is not None else None,
+        "counts": dict(result.counts),
+        "grizzly": _grizzly(result.grizzly),
+        "ores": [_ore(ore, frames) for ore in result.ores],
+        "targets": list(result.targets),
+    }
+
+
+def to_line(data: Json) -> str:
+    """One line of JSON without spaces; raises ValueError for a NaN, which JSON does not have."""
+    return json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+
+
+class _Frames:
+    """Points and directions in the camera's and, when known, the arm's frame."""
+
+    def __init__(self, T_arm_camera: F64 | None) -> None:
+        self.T = T_arm_camera
+
+    def point(self, xyz: F64) -> Json:
+        arm = None if self.T is None else numbers(transforms.apply(self.T, xyz))
+        return {"camera": numbers(xyz), "arm": arm}
+
+    def direction(self, vector: F64) -> Json:
+        arm = None if self.T is None else numbers(transforms.rotate(self.T, vector))
+        return {"camera": numbers(vector), "arm": arm}
+
+
+def number(value: float) -> float | None:
+    """A rounded number; null for what is not finite. Minus zero becomes zero."""
+    return round(float(value), DECIMALS) + 0.0 if math.isfinite(value) else None
+
+
+def numbers(values: npt.ArrayLike | Iterable[float]) -> list[float | None]:
+    """Rounded numbers of a vector."""
+    return [number(value) for value in values]  # type: ignore[union-attr,arg-type]
+
+
+def _reasons(reasons: Iterable[Reason]) -> list[Json]:
+    return [{"code": reason.code, "detail": reason.detail} for reason in reasons]
+
+
+def _grizzly(grizzly: Grizzly | None) -> Json | None:
+    if grizzly is None:
+        return None
+    rms = None if grizzly.rms_m is None else number(grizzly.rms_m)
+    plane = grizzly.plane
+    return {"normal": numbers(plane.normal), "offset_m": number(plane.offset), "source": grizzly.source, "rms_m": rms}
+
+
+def _ore(ore: Ore, frames: _Frames) -> Json:
+    best, *others = ore.plan.strikes or (None,)
+    strike = None
+    if best is not None:
+        strike = _strike(best, frames) | {"alternates": [_strike(other, frames) for other in others]}
+    solid = ore.solid
+    return {
+        "id": ore.id,
+        "points": ore.points,
+        "pixels": ore.pixels,
+        "cut": ore.cut,
+        "surface_centroid": frames.point(ore.surface_centroid),
+        **_solid(solid, frames),
+        "strike": strike,
+        "reasons": _reasons((*ore.reasons, *(solid.reasons if solid else ()), *ore.plan.reasons)),
+    }
+
+
+def _solid(solid: Solid | None, frames: _Frames) -> Json:
+    if solid is None:
+        keys = ("centre_of_gravity", "volume_m3", "volume_bounds_m3", "size_m", "box", "oversize")
+        return dict.fromkeys(keys)
+    centre = frames.point(solid.centre_of_gravity) | {"sigma_m": numbers(solid.sigma_m), "method": solid.method}
+    axes = [numbers(axis) for axis in solid.axes]
+    return {
+        "centre_of_gravity": centre,
+        "volume_m3": number(solid.volume_m3),
+        "volume_bounds_m3": numbers(solid.volume_bounds_m3),
+        "size_m": numbers(solid.size_m),
+        "box": {"camera": {"centre": numbers(solid.box_centre), "axes": axes}, "extent_m": numbers(solid.extent_m)},
+        "oversize": solid.oversize,
+    }
+
+
+def _strike(strike: Strike, frames: _Frames) -> Json:
+    return {
+        "point": frames.point(strike.point),
+        "direction": frames.direction(strike.direction),
+        "slope_deg": number(math.degrees(strike.slope_rad)),
+        "flatness_m": number(strike.flatness_m),
+        "score": number(strike.score),
+    }

@@ -1,0 +1,44 @@
+"""Files that are whole or not there: written under a temporary name, then renamed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from stereo_ore.errors import OutputError
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write `data` as `path` in one step.
+
+    Raises
+    ------
+    OutputError
+        When the folder is not writable or the disk is full; nothing is then left under the final name.
+    """
+    temporary = path.with_name(f".{path.name}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.write_bytes(data)
+        os.replace(temporary, path)
+    except OSError as fault:
+        temporary.unlink(missing_ok=True) if temporary.parent.is_dir() else None
+        raise OutputError(
+            f"can't be written: {fault.strerror}", file=path, remedy="Check space and permissions; --resume continues"
+        ) from None
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write UTF-8 text as `path` in one step."""
+    write_bytes(path, text.encode())
+
+
+def guarded(path: Path, action: Callable[[], object]) -> None:
+    """Do `action` on `path`; an operating system's refusal becomes an `OutputError`."""
+    try:
+        action()
+    except OSError as fault:
+        raise OutputError(
+            f"can't be written: {fault.strerror}", file=path, remedy="Check space and permissions; --resume continues"
+        ) from None

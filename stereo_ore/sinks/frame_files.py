@@ -1,0 +1,86 @@
+"""The files of one frame: filtered cloud, overlay, stage arrays."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from stereo_ore import overlay
+from stereo_ore.sinks.atomic import write_bytes
+from stereo_ore.types import I32, U8, FilterResult, FrameResult, PointCloud, VoxelCloud
+
+PNG_COMPRESSION = 1
+"""Fast rather than small: an overlay is looked at, then thrown away."""
+
+
+@dataclass(frozen=True)
+class FrameFiles:
+    """Writes the files of each frame below `folder`."""
+
+    folder: Path
+    save_stages: bool = False
+
+    def write(self, result: FrameResult) -> None:
+        """Write what the frame has: nothing for a frame that could not be read."""
+        picture = overlay.draw(result)
+        if picture is not None:
+            encoded = cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, PNG_COMPRESSION])[1]
+            write_bytes(self.folder / "overlays" / f"{result.name}.png", encoded.tobytes())
+        if result.cloud is not None and result.voxels is not None and result.filtered is not None:
+            data = cloud_ply(result.cloud, result.voxels, result.filtered, _voxel_ids(result))
+            write_bytes(self.folder / "clouds" / f"{result.name}.ply", data)
+        if self.save_stages and result.disparity is not None:
+            write_bytes(self.folder / "stages" / f"{result.name}.npz", stages_npz(result))
+
+
+def cloud_ply(cloud: PointCloud, voxels: VoxelCloud, filtered: FilterResult, ore_id: I32) -> bytes:
+    """Binary PLY of the kept voxels: x y z [m], red green blue, ore_id (0 = screen and rest), score."""
+    keep = filtered.keep
+    fields = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")]
+    table = np.zeros(int(keep.sum()), np.dtype([*fields, ("ore_id", "<i4"), ("score", "<f4")]))
+    table["x"], table["y"], table["z"] = voxels.xyz[keep].T
+    table["blue"], table["green"], table["red"] = voxel_colour(cloud, voxels)[keep].T
+    table["ore_id"], table["score"] = ore_id[keep], filtered.score[keep]
+    names = {"<f4": "float", "u1": "uchar", "<i4": "int"}
+    properties = [f"property {names[entry[1]]} {entry[0]}" for entry in table.dtype.descr]
+    header = ["ply", "format binary_little_endian 1.0", "comment stereo_ore: metres, rectified left camera"]
+    header += [f"element vertex {len(table)}", *properties, "end_header", ""]
+    return "\n".join(header).encode() + table.tobytes()
+
+
+def voxel_colour(cloud: PointCloud, voxels: VoxelCloud) -> U8:
+    """Mean BGR colour (M, 3) of each voxel's points."""
+    sums = [np.bincount(voxels.inverse, cloud.bgr[:, channel], len(voxels)) for channel in range(3)]
+    return np.rint(np.stack(sums, 1) / voxels.count[:, None]).astype(np.uint8)
+
+
+def _voxel_ids(result: FrameResult) -> I32:
+    """Ore id (M,) of each voxel: that of its last point."""
+    assert result.cloud is not None, "a frame with voxels has a cloud"
+    assert result.voxels is not None, "called for frames with voxels"
+    ids = np.zeros(len(result.voxels), np.int32)
+    if result.ore_map is not None:
+        ids[result.voxels.inverse] = result.ore_map.labels.ravel()[result.cloud.pixel]
+    return ids
+
+
+def stages_npz(result: FrameResult) -> bytes:
+    """Arrays between the stages, as design.md names them; those not reached are empty."""
+    voxels, filtered, disparity = result.voxels, result.filtered, result.disparity
+    assert disparity is not None, "called for frames with a disparity"
+    shape = disparity.values.shape
+    arrays = {
+        "disparity": disparity.values,
+        "voxel_xyz": voxels.xyz if voxels else np.zeros((0, 3), np.float32),
+        "keep": filtered.keep if filtered else np.zeros(0, bool),
+        "score": filtered.score if filtered else np.zeros(0, np.float32),
+        "ore_id": _voxel_ids(result) if voxels else np.zeros(0, np.int32),
+        "ore_map": result.ore_map.labels if result.ore_map else np.zeros(shape, np.int16),
+    }
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]
+    return buffer.getvalue()

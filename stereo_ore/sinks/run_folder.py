@@ -1,0 +1,224 @@
+"""The folder of a run: records in order, timings, inputs, and what is needed to repeat it.
+
+While a run lasts its lines grow in ``*.part`` files; at the end they get their final names. So a reader never takes
+an unfinished run for a finished one, and a killed run is continued from its last whole line.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import json
+import platform
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any
+
+from stereo_ore import __version__
+from stereo_ore.errors import OutputError
+from stereo_ore.sinks.atomic import guarded, write_text
+
+LINES = ("frames.jsonl", "timings.jsonl", "inputs.jsonl")
+PACKAGES = ("numpy", "scipy", "scikit-learn", "opencv-contrib-python-headless", "open3d-cpu", "open3d", "pydantic")
+
+CSV_FIELDS = (
+    "frame",
+    "id",
+    "target_rank",
+    "oversize",
+    "cut",
+    *(f"{name}_{axis}_m" for name in ("cog_camera", "cog_arm", "cog_sigma") for axis in "xyz"),
+    "volume_m3",
+    *(f"size_{name}_m" for name in ("longest", "middle", "shortest")),
+    *(f"strike_{frame}_{axis}_m" for frame in ("camera", "arm") for axis in "xyz"),
+    *(f"direction_{frame}_{axis}" for frame in ("camera", "arm") for axis in "xyz"),
+    "slope_deg",
+    "points",
+    "pixels",
+    "reasons",
+)
+
+
+@dataclass(frozen=True)
+class FrameLines:
+    """What one frame adds to the run's files: JSON objects a line each."""
+
+    record: str
+    timing: str
+    inputs: str
+
+
+class RunFolder:
+    """Open folder of a run; a context manager that keeps `LINES` in step.
+
+    Parameters
+    ----------
+    folder : Path
+        Made when it does not exist.
+    description : mapping
+        What the run is made from (versions, configuration, names of frames …): written to ``run.json``; its digest
+        tells whether a folder holds the same run.
+    resume : bool
+        Continue after the last whole frame of an unfinished run.
+    overwrite : bool
+        Replace a different run.
+    """
+
+    def __init__(self, folder: Path, description: Mapping[str, Any], *, resume: bool, overwrite: bool) -> None:
+        self.folder = folder
+        self.description = dict(description, digest=digest(description))
+        earlier = self._check_earlier(resume, overwrite)
+        guarded(folder, lambda: folder.mkdir(parents=True, exist_ok=True))
+        if earlier and not resume:
+            self._remove_results()
+        self.done = self._trim() if resume else 0
+        write_text(folder / "run.json", json.dumps(self.description, indent=1, ensure_ascii=False) + "\n")
+        self._files: dict[str, IO[str]] = {}
+
+    def __enter__(self) -> RunFolder:
+        def open_all() -> None:
+            for name in LINES:
+                self._files[name] = self._part(name).open("a", encoding="utf-8", newline="\n")
+
+        guarded(self.folder, open_all)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for file in self._files.values():
+            file.close()
+
+    def add(self, lines: FrameLines) -> None:
+        """Append one frame, flushed so that a kill loses no more than the frame in work."""
+        for name, line in zip(LINES, (lines.record, lines.timing, lines.inputs), strict=True):
+            file = self._files[name]
+
+            def write(file: IO[str] = file, line: str = line) -> None:
+                file.write(line + "\n")
+                file.flush()
+
+            guarded(self._part(name), write)
+
+    def finish(self) -> None:
+        """Give the line files their final names, and write what is made from all of them."""
+        for file in self._files.values():
+            file.close()
+        frames = self._part("frames.jsonl")
+        write_text(self.folder / "ores.csv", ores_csv(frames))
+        inputs = [json.loads(line) for line in self._part("inputs.jsonl").read_text(encoding="utf-8").splitlines()]
+        finished = {**self.description, "inputs": inputs, "finished": True}
+        for name in ("timings.jsonl", "frames.jsonl"):
+            part, final = self._part(name), self.folder / name
+            guarded(final, lambda part=part, final=final: part.replace(final))  # type: ignore[misc]
+        write_text(self.folder / "run.json", json.dumps(finished, indent=1, ensure_ascii=False) + "\n")
+        self._part("inputs.jsonl").unlink()
+
+    def _part(self, name: str) -> Path:
+        return self.folder / f"{name}.part"
+
+    def _check_earlier(self, resume: bool, overwrite: bool) -> bool:
+        """Whether the folder holds a run that this one may continue or replace."""
+        earlier = self.folder / "run.json"
+        if not earlier.is_file():
+            return False
+        try:
+            same = json.loads(earlier.read_text(encoding="utf-8")).get("digest") == self.description["digest"]
+        except (ValueError, AttributeError):
+            same = False
+        if not same and (resume or not overwrite):
+            problem = "holds a run with other inputs, parameters or version"
+            remedy = "Name another --out, or give --overwrite to replace it"
+            raise OutputError(problem, file=self.folder, remedy=remedy)
+        return True
+
+    def _trim(self) -> int:
+        """Cut every line file back to the frames that all of them hold whole; their number."""
+        if (self.folder / "frames.jsonl").is_file() and not self._part("frames.jsonl").exists():
+            return self._reopen_finished()
+        texts = {name: _whole_lines(self._part(name)) for name in LINES}
+        count = min(len(lines) for lines in texts.values())
+        for name, lines in texts.items():
+            if self._part(name).exists():
+                write_text(self._part(name), "".join(lines[:count]))
+        return count
+
+    def _reopen_finished(self) -> int:
+        """A finished run that is resumed keeps its frames: only what follows from them is written again."""
+        run = json.loads((self.folder / "run.json").read_text(encoding="utf-8"))
+        write_text(self._part("inputs.jsonl"), "".join(json.dumps(entry) + "\n" for entry in run.get("inputs", [])))
+        for name in ("timings.jsonl", "frames.jsonl"):
+            (self.folder / name).replace(self._part(name))
+        return self._trim()
+
+    def _remove_results(self) -> None:
+        for name in (*LINES, *(f"{name}.part" for name in LINES), "ores.csv"):
+            (self.folder / name).unlink(missing_ok=True)
+        for child in ("clouds", "overlays", "stages"):
+            for file in (self.folder / child).glob("*"):
+                file.unlink()
+
+
+def _whole_lines(path: Path) -> list[str]:
+    if not path.exists():
+        return []
+    lines = path.read_text(encoding="utf-8", errors="replace").splitlines(keepends=True)
+    return lines if not lines or lines[-1].endswith("\n") else lines[:-1]
+
+
+def digest(description: Mapping[str, Any]) -> str:
+    """SHA-256 of a JSON-able description."""
+    return hashlib.sha256(json.dumps(description, sort_keys=True).encode()).hexdigest()
+
+
+def versions() -> dict[str, str]:
+    """Versions of this program and of the packages that its results depend on."""
+    found = {"stereo-ore": __version__, "python": platform.python_version(), "platform": sys.platform}
+    for package in PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def ores_csv(frames: Path) -> str:
+    """A row an ore from the records of a run; units are in the column names."""
+    buffer = io.StringIO()
+    writer = csv.DictWriter(buffer, CSV_FIELDS, lineterminator="\n")
+    writer.writeheader()
+    with frames.open(encoding="utf-8") as lines:
+        for line in lines:
+            frame = json.loads(line)
+            for ore in frame["ores"]:
+                writer.writerow(_row(frame, ore))
+    return buffer.getvalue()
+
+
+def _row(frame: dict[str, Any], ore: dict[str, Any]) -> dict[str, Any]:
+    rank = frame["targets"].index(ore["id"]) + 1 if ore["id"] in frame["targets"] else None
+    row = {key: ore[key] for key in ("id", "oversize", "cut", "volume_m3", "points", "pixels")}
+    row |= {"frame": frame["frame"], "target_rank": rank, "reasons": " ".join(r["code"] for r in ore["reasons"])}
+    centre = ore["centre_of_gravity"] or {}
+    for name, values in (
+        ("camera", centre.get("camera")),
+        ("arm", centre.get("arm")),
+        ("sigma", centre.get("sigma_m")),
+    ):
+        row |= _vector(f"cog_{name}", "_m", values)
+    row |= dict(zip(("size_longest_m", "size_middle_m", "size_shortest_m"), ore["size_m"] or (), strict=False))
+    if strike := ore["strike"]:
+        row["slope_deg"] = strike["slope_deg"]
+        for name in ("camera", "arm"):
+            row |= _vector(f"strike_{name}", "_m", strike["point"][name])
+            row |= _vector(f"direction_{name}", "", strike["direction"][name])
+    return row
+
+
+def _vector(prefix: str, suffix: str, values: list[float] | None) -> dict[str, float]:
+    return {f"{prefix}_{axis}{suffix}": value for axis, value in zip("xyz", values or (), strict=False)}
