@@ -16,6 +16,13 @@ from stereo_ore.types import I32, U8, FilterResult, FrameResult, PointCloud, Vox
 PNG_COMPRESSION = 1
 """Fast rather than small: an overlay is looked at, then thrown away."""
 
+PLY_FIELDS = (
+    *((name, "<f4", "float") for name in "xyz"),
+    *((name, "u1", "uchar") for name in ("red", "green", "blue")),
+    ("ore_id", "<i4", "int"),
+    ("score", "<f4", "float"),
+)
+
 
 @dataclass(frozen=True)
 class FrameFiles:
@@ -40,13 +47,11 @@ class FrameFiles:
 def cloud_ply(cloud: PointCloud, voxels: VoxelCloud, filtered: FilterResult, ore_id: I32) -> bytes:
     """Binary PLY of the kept voxels: x y z [m], red green blue, ore_id (0 = screen and rest), score."""
     keep = filtered.keep
-    fields = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")]
-    table = np.zeros(int(keep.sum()), np.dtype([*fields, ("ore_id", "<i4"), ("score", "<f4")]))
+    table = np.zeros(int(keep.sum()), [(name, kind) for name, kind, _ in PLY_FIELDS])
     table["x"], table["y"], table["z"] = voxels.xyz[keep].T
     table["blue"], table["green"], table["red"] = voxel_colour(cloud, voxels)[keep].T
     table["ore_id"], table["score"] = ore_id[keep], filtered.score[keep]
-    names = {"<f4": "float", "u1": "uchar", "<i4": "int"}
-    properties = [f"property {names[entry[1]]} {entry[0]}" for entry in table.dtype.descr]
+    properties = [f"property {kind} {name}" for name, _, kind in PLY_FIELDS]
     header = ["ply", "format binary_little_endian 1.0", "comment stereo_ore: metres, rectified left camera"]
     header += [f"element vertex {len(table)}", *properties, "end_header", ""]
     return "\n".join(header).encode() + table.tobytes()
