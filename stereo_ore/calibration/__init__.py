@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Protocol
 
-from stereo_ore.calibration import native, zed
+from stereo_ore.calibration import kalibr, middlebury, native, opencv, ros, zed
+from stereo_ore.calibration.formats import Format, Wishes
 from stereo_ore.calibration.geometry import Images, check_image_size
 from stereo_ore.calibration.native import dump, save
 from stereo_ore.errors import CalibrationError
@@ -14,25 +14,23 @@ from stereo_ore.yaml_io import read_text
 
 __all__ = ["FORMATS", "check_image_size", "dump", "load", "save"]
 
-
-class Format(Protocol):
-    """What a module of a calibration format offers."""
-
-    def recognises(self, text: str) -> bool:
-        """Whether the text of a file is in this format."""
-
-    def read(
-        self, path: Path, text: str, images: Images | None, image_size: tuple[int, int] | None
-    ) -> StereoCalibration:
-        """The calibration in it."""
-
-
-FORMATS: dict[str, Format] = {"native": native, "zed": zed}
-"""Asked in this order."""
+FORMATS: dict[str, Format] = {
+    "native": native,
+    "zed": zed,
+    "opencv": opencv,
+    "ros": ros,
+    "kalibr": kalibr,
+    "middlebury": middlebury,
+}
+"""Asked in this order; a new format is a module and a line."""
 
 
 def load(
-    path: str | Path, images: Images | None = None, image_size: tuple[int, int] | None = None
+    path: str | Path,
+    images: Images | None = None,
+    image_size: tuple[int, int] | None = None,
+    unit_m: float = 1.0,
+    eyes: tuple[int, int] | None = None,
 ) -> StereoCalibration:
     """The stereo calibration in a file of any known format.
 
@@ -43,7 +41,11 @@ def load(
     images
         What the recorded images are, where that differs from what the file says or implies.
     image_size
-        Width and height [px] of one eye; needed for formats that hold several or none.
+        Width and height [px] of one eye, for formats that hold several or none.
+    unit_m
+        Length of one unit of a translation, for formats that do not fix it (OpenCV, ROS).
+    eyes
+        Numbers of the left and the right camera, for chains of more than two.
 
     Raises
     ------
@@ -54,5 +56,5 @@ def load(
     text = read_text(path, CalibrationError)
     for reader in FORMATS.values():
         if reader.recognises(text):
-            return reader.read(path, text, images, image_size)
+            return reader.read(path, text, Wishes(images, image_size, unit_m, eyes))
     raise CalibrationError(f"is in no known calibration format ({', '.join(FORMATS)})", file=path)

@@ -16,7 +16,7 @@ from stereo_ore.types import F64, CameraModel, StereoCalibration
 
 Images = Literal["rectified", "raw"]
 
-LONGEST_BASELINE_M = 10.0
+LONGEST_BASELINE_M = 2.0
 WIDEST_TURN_RAD = 1.0
 ROTATION_DECIMALS = 12
 """Rotation vectors are kept to 1e-12 rad, so that a calibration written and read again is the same to the last bit."""

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
+from stereo_ore.calibration.formats import Wishes
 from stereo_ore.calibration.geometry import Images, make_calibration, rotation_vector
 from stereo_ore.config.loader import validate
 from stereo_ore.errors import CalibrationError
@@ -64,8 +65,8 @@ def recognises(text: str) -> bool:
     return FORMAT in text
 
 
-def read(path: Path, text: str, images: Images | None, image_size: tuple[int, int] | None) -> StereoCalibration:
-    """The calibration in a native YAML; `images`, if given, stands for the file's word."""
+def read(path: Path, text: str, wishes: Wishes) -> StereoCalibration:
+    """The calibration in a native YAML; `wishes.images`, if given, stands for the file's word."""
     file = validate(_File, parse_yaml(text, path, CalibrationError), path, CalibrationError)
     return make_calibration(
         path,
@@ -74,7 +75,7 @@ def read(path: Path, text: str, images: Images | None, image_size: tuple[int, in
         right=file.right.model(),
         rotation=file.right_from_left.rotation_vector_rad,
         translation_m=file.right_from_left.translation_m,
-        images=images or file.images,
+        images=wishes.images or file.images,
         disparity_offset_px=file.disparity_offset_px,
         camera=file.camera,
     )
