@@ -50,7 +50,7 @@ def make_rectifier(calibration: StereoCalibration) -> Rectifier:
     """
     if calibration.images == "rectified":
         return Rectifier(_rig_as_given(calibration))
-    R1, R2, P1, P2 = _rectification(calibration)
+    R1, R2, P1, P2 = rectification(calibration)
     left = _maps(calibration.left, R1, P1, calibration.image_size)
     right = _maps(calibration.right, R2, P2, calibration.image_size)
     return Rectifier(_rig_from_projections(calibration, P1, P2), left, right)
@@ -102,7 +102,7 @@ def _rig_as_given(calibration: StereoCalibration) -> Rig:
     return Rig(width, height, fx, fy, cx, cy, -float(t[0]), doffs, calibration.disparity_offset_px)
 
 
-def _rectification(calibration: StereoCalibration) -> tuple[F64, F64, F64, F64]:
+def rectification(calibration: StereoCalibration) -> tuple[F64, F64, F64, F64]:
     """R1, R2, P1, P2 of ``cv2.stereoRectify``, zero disparity at infinity, only valid pixels."""
     left, right = calibration.left, calibration.right
     # OpenCV 5 refuses a translation of shape (3,).
