@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
+TABLE_WIDTH = 130
+"""Columns of the table of ores where the output is no terminal."""
+
 
 def register(app: typer.Typer) -> None:
     """Add the verb to the command line."""
@@ -170,13 +173,17 @@ def _summarise(out: Path) -> None:
         reason = failed[0]["reasons"][-1]
         raise FrameError(f"no frame could be processed; the first: {reason['detail']}", code=reason["code"])
     if len(frames) == 1:
-        Console().print(_ore_table(frames[0]))
+        console = Console()
+        console.width = max(console.width, TABLE_WIDTH)
+        console.print(_ore_table(frames[0]))
+        if (overlay := out / "overlays" / f"{frames[0]['frame']}.png").is_file():
+            typer.echo(f"overlay: {overlay}")
     counts = {
         status: sum(frame["status"] == status for frame in frames) for status in ("ok", "degraded", "empty", "failed")
     }
     summary = ", ".join(f"{count} {status}" for status, count in counts.items() if count)
     ores, targets = (sum(frame["counts"][key] for frame in frames) for key in ("ores", "targets"))
-    typer.echo(f"{len(frames)} frames ({summary}), {ores} ores, {targets} targets: {out}")
+    typer.echo(f"{len(frames)} frame{'s' * (len(frames) != 1)} ({summary}), {ores} ores, {targets} targets: {out}")
 
 
 def _ore_table(frame: dict[str, Any]) -> Any:
