@@ -34,8 +34,7 @@ _HALVES = (("intrinsics", "extrinsics"), ("intrinsic", "extrinsic"))
 
 def recognises(text: str) -> bool:
     """Whether the text is a FileStorage."""
-    head = text[:200].lstrip()
-    return head.startswith(("%YAML:1.0", "<?xml")) and ("opencv" in text or head.startswith("%YAML:1.0"))
+    return text.lstrip("\ufeff \n").startswith(("%YAML", "<?xml", "{")) and "opencv" in text
 
 
 def read(path: Path, text: str, wishes: Wishes) -> StereoCalibration:

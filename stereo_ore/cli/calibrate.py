@@ -1,0 +1,117 @@
+"""``stereo-ore calibrate``: make and judge calibrations and sites."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from stereo_ore.errors import CalibrationError, OutputError
+
+if TYPE_CHECKING:
+    from stereo_ore.types import StereoCalibration
+
+log = logging.getLogger(__name__)
+
+group = typer.Typer(no_args_is_help=True, help="Make and judge the YAML files of camera and site.")
+
+UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+SIZES = {"HD2K": (2208, 1242), "HD1080": (1920, 1080), "HD720": (1280, 720), "VGA": (672, 376)}
+
+CalibFile = Annotated[Path, typer.Argument(help="Calibration in any known format.")]
+Images = Annotated[Literal["rectified", "raw"] | None, typer.Option(help="What the images are, if the file is silent.")]
+Size = Annotated[str | None, typer.Option(help="Size of one eye: WxH, HD2K, HD1080, HD720 or VGA.")]
+Unit = Annotated[Literal["m", "cm", "mm"], typer.Option(help="Unit of a translation (OpenCV, ROS).")]
+Eyes = Annotated[str | None, typer.Option(help="Left and right camera of a longer chain: L,R.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verbs to the command line."""
+    app.add_typer(group, name="calibrate")
+
+
+@group.command("import")
+def import_(
+    file: CalibFile,
+    out: Annotated[Path, typer.Option("--out", help="Native YAML to write.")],
+    images: Images = None,
+    size: Size = None,
+    unit: Unit = "m",
+    eyes: Eyes = None,
+    to: Annotated[str | None, typer.Option("--to", help="Convert a ZED to this resolution.")] = None,
+    name: Annotated[str | None, typer.Option("--name", help="Free text for `camera`.")] = None,
+) -> None:
+    """Write any known calibration format as native YAML.
+
+    Example: `stereo-ore calibrate import SN12345678.conf --size HD720 --out calib/ours.yaml`
+    """
+    from dataclasses import replace
+
+    from stereo_ore.calibration.convert import convert_zed
+
+    calibration = _load(file, images, size, unit, eyes)
+    if to is not None:
+        calibration = convert_zed(calibration, parse_size(to))
+    if name is not None:
+        calibration = replace(calibration, camera=name)
+    write(calibration, out)
+    typer.echo(out)
+
+
+@group.command()
+def show(
+    file: CalibFile,
+    images: Images = None,
+    size: Size = None,
+    unit: Unit = "m",
+    eyes: Eyes = None,
+    picture: Annotated[Path | None, typer.Option(help="PNG to write.")] = None,
+) -> None:
+    """Print geometry, field of view and depth noise.
+
+    Example: `stereo-ore calibrate show calib/zed2_hd720.yaml --picture camera.png`
+    """
+    from stereo_ore.calibration.show import describe, draw
+
+    calibration = _load(file, images, size, unit, eyes)
+    typer.echo(describe(calibration))
+    if picture is not None:
+        draw(calibration, picture)
+        log.info("wrote %s", picture)
+
+
+def _load(file: Path, images: Images, size: str | None, unit: str, eyes: str | None) -> StereoCalibration:
+    from stereo_ore.calibration import load
+
+    return load(
+        file,
+        images=images,
+        image_size=None if size is None else parse_size(size),
+        unit_m=UNITS_M[unit],
+        eyes=None if eyes is None else _pair(eyes, ",", "--eyes"),
+    )
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """``1280x720`` or the name of a ZED mode as (width, height)."""
+    return SIZES.get(text.upper()) or _pair(text.lower().replace("×", "x"), "x", "--size")
+
+
+def _pair(text: str, separator: str, option: str) -> tuple[int, int]:
+    try:
+        first, second = (int(part) for part in text.split(separator))
+    except ValueError:
+        raise CalibrationError(f"{text!r} is not two whole numbers with {separator!r} between", key=option) from None
+    return first, second
+
+
+def write(calibration: StereoCalibration, out: Path) -> None:
+    """Write a native YAML; a folder that is not there or not writable is an error in one line."""
+    from stereo_ore.calibration import save
+
+    try:
+        save(calibration, out)
+    except OSError as fault:
+        raise OutputError(f"can't be written: {fault.strerror}", file=out) from None
