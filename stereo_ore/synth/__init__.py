@@ -1,5 +1,20 @@
 """Made-up measurements with exact truth: ray-cast ore on a grizzly, and the published experiment's cloud."""
 
+from stereo_ore.synth.files import write
 from stereo_ore.synth.paper_cloud import NOISE_SHARES, paper_cloud
+from stereo_ore.synth.scene import Scene, scene
+from stereo_ore.synth.spec import FAMILIES, SIZES, SceneSpec, sample_spec
+from stereo_ore.synth.truth import LumpTruth
 
-__all__ = ["NOISE_SHARES", "paper_cloud"]
+__all__ = [
+    "FAMILIES",
+    "NOISE_SHARES",
+    "SIZES",
+    "LumpTruth",
+    "Scene",
+    "SceneSpec",
+    "paper_cloud",
+    "sample_spec",
+    "scene",
+    "write",
+]

@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any, Protocol
+from typing import cast as cast_type
 
 import numpy as np
+import numpy.typing as npt
 
-from stereo_ore.types import F64, I32
+from stereo_ore.types import F64, I32, Mask
 
 
 @dataclass(frozen=True)
@@ -99,34 +102,63 @@ def volume_and_centre(mesh: Mesh) -> tuple[float, F64]:
 def callipers(mesh: Mesh) -> tuple[F64, float, float]:
     """Sorted sides of the smallest box around a mesh, and its longest and shortest calliper [m].
 
-    The box and the shortest calliper are sought over directions normal to a face of the convex hull (the box's
-    second direction over the edges of the projected hull), which holds the exact shortest face-vertex width.
+    The box and the shortest calliper are sought over the normals of the convex hull, one a cell of 6°, the box's other
+    two directions in steps of 2°: within about half a percent of the exact values.
     """
     from scipy.spatial import ConvexHull
 
     hull = ConvexHull(mesh.vertices)
     points = mesh.vertices[hull.vertices]
-    normals = _distinct(hull.equations[:, :3])
-    spread = np.ptp(points @ normals.T, axis=0)
     longest = max(float(np.linalg.norm(points - p, axis=1).max()) for p in points)
-    boxes = np.array([[w, *_smallest_rectangle(points, n)] for n, w in zip(normals, spread, strict=True)])
-    best = boxes[boxes.prod(1).argmin()]
-    return np.sort(best)[::-1], longest, float(spread.min())
+    n = hull.equations[:, :3] * np.where(hull.equations[:, 2:3] < 0, -1, 1)
+    n = n[np.unique((n * 10).round().astype(int), axis=0, return_index=True)[1]]
+    u = np.cross(n, np.eye(3)[np.abs(n).argmin(1)])
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    a, b = u @ points.T, np.cross(n, u) @ points.T
+    widths = np.ptp(n @ points.T, axis=1)
+    boxes = np.array(
+        [(widths, np.ptp(a * c + b * s, axis=1), np.ptp(b * c - a * s, axis=1)) for c, s in _quarter_turn()]
+    )
+    boxes = boxes.transpose(0, 2, 1).reshape(-1, 3)
+    return np.sort(boxes[boxes.prod(1).argmin()])[::-1], longest, float(widths.min())
 
 
-def _distinct(normals: F64) -> F64:
-    """One normal a cell of about 3°, opposite directions taken as one."""
-    flipped = normals * np.where(normals[:, 2:3] < 0, -1, 1)
-    return flipped[np.unique((flipped * 20).round().astype(int), axis=0, return_index=True)[1]]
-
-
-def _smallest_rectangle(points: F64, normal: F64) -> tuple[float, float]:
-    """Sides of the smallest rectangle, in steps of 2°, around the points projected along `normal`."""
-    u = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
-    u /= np.linalg.norm(u)
-    v = np.cross(normal, u)
+def _quarter_turn() -> F64:
     angle = np.radians(np.arange(0, 90, 2))
-    a = np.ptp((points @ u)[:, None] * np.cos(angle) + (points @ v)[:, None] * np.sin(angle), axis=0)
-    b = np.ptp((points @ v)[:, None] * np.cos(angle) - (points @ u)[:, None] * np.sin(angle), axis=0)
-    best = (a * b).argmin()
-    return float(a[best]), float(b[best])
+    return np.stack([np.cos(angle), np.sin(angle)], 1)
+
+
+class RayCaster(Protocol):
+    """What is used of Open3D's RaycastingScene."""
+
+    def cast_rays(self, rays: Any) -> dict[str, Any]:
+        """Hit distance, triangle, barycentric coordinates and normal of each ray."""
+
+    def test_occlusions(self, rays: Any, tnear: float, tfar: float) -> Any:
+        """Whether anything lies between tnear and tfar on each ray."""
+
+
+def ray_caster(mesh: Mesh) -> RayCaster:
+    """A ray caster over a mesh."""
+    import open3d as o3d
+
+    scene = o3d.t.geometry.RaycastingScene()
+    tensor = o3d.core.Tensor.from_numpy
+    scene.add_triangles(tensor(mesh.vertices.astype(np.float32)), tensor(mesh.triangles.astype(np.uint32)))
+    return cast_type(RayCaster, scene)
+
+
+def cast(caster: RayCaster, rays: npt.ArrayLike) -> dict[str, npt.NDArray[Any]]:
+    """First hits of rays (..., 6), origin and direction; `t_hit` is inf where there is none."""
+    import open3d as o3d
+
+    found = caster.cast_rays(o3d.core.Tensor.from_numpy(np.ascontiguousarray(rays, np.float32)))
+    return {name: value.numpy() for name, value in found.items()}
+
+
+def blocked(caster: RayCaster, rays: npt.ArrayLike, reach: float = np.inf) -> Mask:
+    """True for each ray (..., 6) that hits something before `reach`."""
+    import open3d as o3d
+
+    query = o3d.core.Tensor.from_numpy(np.ascontiguousarray(rays, np.float32))
+    return np.asarray(caster.test_occlusions(query, 0.0, reach).numpy())

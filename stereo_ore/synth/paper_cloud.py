@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from stereo_ore.synth.mesh import merge
+from stereo_ore.synth.mesh import Mesh, cast, merge, ray_caster
 from stereo_ore.synth.placing import HeightField, pile
 from stereo_ore.synth.rocks import PROPORTIONS, rock
 from stereo_ore.synth.screen import Screen, bars, frame
@@ -71,11 +71,11 @@ def _offsets(rng: np.random.Generator, count: int, least: float) -> F64:
 def _surface(seed: int) -> tuple[F64, F64, F64]:
     """Clean points, unit normals and view rays, (18809, 3) each."""
     rng = np.random.default_rng([seed, 0])
-    vertices, triangles = _ore_on_bars(rng)
+    scene = _ore_on_bars(rng)
     spacing = 0.006
     points = np.empty((0, 9))
     while len(points) < POINTS:
-        points, spacing = _cast(vertices, triangles, spacing), spacing * 0.985
+        points, spacing = _cast(scene, spacing), spacing * 0.985
     points = points[rng.permutation(len(points))[:POINTS]]
     low, span = points[:, :3].min(0), np.ptp(points[:, :3], axis=0)
     stretch = np.array(EXTENT_M) / span
@@ -83,8 +83,8 @@ def _surface(seed: int) -> tuple[F64, F64, F64]:
     return (points[:, :3] - low) * stretch, normals / np.linalg.norm(normals, axis=1, keepdims=True), points[:, 6:]
 
 
-def _ore_on_bars(rng: np.random.Generator) -> tuple[F64, F64]:
-    """Vertices and triangles of lumps of 80–250 mm resting on bars, stretched so that their top is right."""
+def _ore_on_bars(rng: np.random.Generator) -> Mesh:
+    """Lumps of 80–250 mm resting on bars, stretched so that their top is right."""
     screen = Screen(0.075, 0.04, 0.06, (EXTENT_M[0] - 0.08, EXTENT_M[1] - 0.08), 0.04, 2, 0.6)
     steel = merge([bars(screen), frame(screen)])
     sizes = np.sort(rng.uniform(0.08, 0.25, 14))[::-1]
@@ -94,24 +94,18 @@ def _ore_on_bars(rng: np.random.Generator) -> tuple[F64, F64]:
     poses = pile(lumps, field, (0.2, 0.33), rng, sink_m=0.01)
     ore = merge([m.moved(R, t) for m, (R, t) in zip(lumps, poses, strict=True)])
     stones = ore.vertices * [1, 1, (EXTENT_M[2] - 0.04) / ore.vertices[:, 2].max()]
-    return np.concatenate([steel.vertices, stones]), np.concatenate(
-        [steel.triangles, ore.triangles + len(steel.vertices)]
-    )
+    return merge([steel, Mesh(stones, ore.triangles)])
 
 
-def _cast(vertices: F64, triangles: F64, spacing: float) -> F64:
-    """Points, normals and rays (N, 9) of a grid of rays through the bar tops' plane; hits deeper than 40 mm are left out."""
-    import open3d as o3d
-
-    scene = o3d.t.geometry.RaycastingScene(nthreads=1)
-    scene.add_triangles(vertices.astype(np.float32), triangles.astype(np.uint32))
+def _cast(surface: Mesh, spacing: float) -> F64:
+    """Points, normals and rays (N, 9) seen through a grid in the bar tops' plane, no deeper than 40 mm."""
     half = np.array(EXTENT_M[:2]) / 2 - 1e-5
     x, y = (np.linspace(-h, h, round(2 * h / spacing) + 1) for h in half)
     target = np.stack([*np.meshgrid(x, y, indexing="ij"), np.zeros((len(x), len(y)))], -1).reshape(-1, 3)
     rays = target - EYE_M
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     origin = np.broadcast_to(EYE_M, rays.shape)
-    hit = scene.cast_rays(o3d.core.Tensor(np.concatenate([origin, rays], 1).astype(np.float32)), nthreads=1)
-    points = origin + rays * hit["t_hit"].numpy()[:, None].astype(float)
+    hit = cast(ray_caster(surface), np.concatenate([origin, rays], 1))
+    points = origin + rays * hit["t_hit"][:, None].astype(float)
     seen = np.isfinite(points[:, 2]) & (points[:, 2] > -0.04)
-    return np.concatenate([points, hit["primitive_normals"].numpy(), rays], 1)[seen]
+    return np.concatenate([points, hit["primitive_normals"], rays], 1)[seen]

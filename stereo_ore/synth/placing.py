@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stereo_ore.synth.mesh import Mesh, icosphere
+from stereo_ore.synth.mesh import Mesh, cast, icosphere, ray_caster
 from stereo_ore.types import F64
 
 ROUNDS, PROPOSALS = 30, 12
@@ -38,10 +38,6 @@ class HeightField:
 
     def add(self, mesh: Mesh) -> None:
         """Raise the field to the top of a mesh, seen by rays from above."""
-        import open3d as o3d
-
-        scene = o3d.t.geometry.RaycastingScene(nthreads=1)
-        scene.add_triangles(mesh.vertices.astype(np.float32), mesh.triangles.astype(np.uint32))
         low, high = mesh.vertices.min(0), mesh.vertices.max(0)
         i = self._cells(low[0], high[0], self.x0, self.heights.shape[0])
         j = self._cells(low[1], high[1], self.y0, self.heights.shape[1])
@@ -51,7 +47,7 @@ class HeightField:
         top = float(high[2]) + 0.01
         down = np.broadcast_to([0.0, 0.0, -1.0], (*x.shape, 3))
         rays = np.concatenate([np.stack([x, y, np.full_like(x, top)], -1), down], -1).astype(np.float32)
-        height = top - scene.cast_rays(o3d.core.Tensor(rays), nthreads=1)["t_hit"].numpy()
+        height = top - cast(ray_caster(mesh), rays)["t_hit"]
         patch = np.ix_(i, j)
         self.heights[patch] = np.maximum(self.heights[patch], np.where(np.isfinite(height), height, -1.0))
 

@@ -15,7 +15,7 @@ from stereo_ore.types import F64
 class Screen:
     """A grizzly in its own frame: origin in the middle of the bar tops, bars along y, z up; all lengths in metres.
 
-    `size` is the clear inside of the frame (x, y).
+    `size` is the clear inside of the frame (x, y), whose top lies `rise` above the bars.
     """
 
     opening: float
@@ -25,10 +25,11 @@ class Screen:
     frame_width: float
     ties: int
     pit_depth: float
+    rise: float = 0.0
 
     @property
     def bar_centres(self) -> F64:
-        """x of the middle of every bar: as many as fit, one pitch apart, symmetric."""
+        """Positions x of the bars' middles: as many as fit, one pitch apart, symmetric."""
         pitch = self.opening + self.bar_width
         count = int((self.size[0] - self.opening) / pitch + 1e-9)
         return (np.arange(count) - (count - 1) / 2) * pitch
@@ -61,7 +62,15 @@ def frame(screen: Screen) -> Mesh:
         ((-x, y), (x, y + w)),
         ((-x, -y - w), (x, -y)),
     ]
-    return merge([box((*low, d), (*high, 0), screen.cell) for low, high in low_high])
+    return merge([box((*low, d), (*high, screen.rise), screen.cell) for low, high in low_high])
+
+
+def legs(screen: Screen) -> Mesh:
+    """Four legs under the frame's corners, down to the floor."""
+    (x, y), w = np.array(screen.size) / 2, screen.frame_width
+    corners = [(sx * (x + w / 2), sy * (y + w / 2)) for sx in (-1, 1) for sy in (-1, 1)]
+    low = (-screen.pit_depth, -screen.bar_depth)
+    return merge([box((a - w / 2, b - w / 2, low[0]), (a + w / 2, b + w / 2, low[1]), 0.1) for a, b in corners])
 
 
 def ground(screen: Screen, level: float, reach: float) -> Mesh:
@@ -85,14 +94,14 @@ def pit(screen: Screen) -> Mesh:
     return merge([*walls, _flat((-x, -y), (x, y), -d, cell)])
 
 
-def rubble(screen: Screen, rng: np.random.Generator, size: float, count: int) -> Mesh:
-    """Stones about `size` long heaped on the pit's bottom, highest in the middle."""
+def rubble(screen: Screen, rng: np.random.Generator, size: float, count: int, heap: float) -> Mesh:
+    """Stones about `size` long on the bottom, heaped up to `heap` times the pit's depth around a random middle."""
     shapes = [rock(rng, kind, 1.0, 2) for kind in ("chunk", "block", "slab", "chunk", "long")]
     half, stones = np.array(screen.size) / 2, []
-    heap = rng.uniform(-0.4, 0.4, 2) * half
+    middle = rng.uniform(-0.4, 0.4, 2) * half
     for _ in range(count):
         xy = rng.uniform(-1, 1, 2) * half
-        height = 0.35 * screen.pit_depth * np.exp(-(((xy - heap) / (0.6 * half)) ** 2).sum())
+        height = heap * screen.pit_depth * np.exp(-(((xy - middle) / (0.6 * half)) ** 2).sum())
         at = np.array([*xy, height - screen.pit_depth + rng.uniform(0, 0.5) * size])
         scale = size * rng.uniform(0.6, 1.6)
         stones.append(shapes[rng.integers(len(shapes))].moved(scale * random_rotation(rng), at))
