@@ -8,9 +8,10 @@ from typing import Any
 
 import cv2
 import numpy as np
-import yaml
 
+from stereo_ore.calibration import save
 from stereo_ore.errors import OutputError
+from stereo_ore.site import save_site
 from stereo_ore.synth.scene import Scene
 from stereo_ore.synth.truth import LumpTruth
 from stereo_ore.types import F64, CameraModel
@@ -26,8 +27,8 @@ def write(scene: Scene, folder: Path) -> Path:
         _write_json(folder / "calib.json", _calib(scene))
         _write_json(folder / "gt.json", _truth(scene))
         np.savez_compressed(folder / "gt.npz", **_arrays(scene))
-        (folder / "calibration.yaml").write_text(yaml.safe_dump(_calibration(scene), sort_keys=False))
-        (folder / "site.yaml").write_text(yaml.safe_dump(_site(scene), sort_keys=False))
+        save(scene.calibration, folder / "calibration.yaml")
+        save_site(scene.site, folder / "site.yaml")
     except OSError as fault:
         raise OutputError(f"can't be written: {fault.strerror}", file=folder) from None
     return folder
@@ -120,33 +121,3 @@ def _lump(lump: LumpTruth, raw: bool) -> dict[str, Any]:
         rect = (lump.com_rectified * 1000).round(4).tolist()
         document |= {"com_left_rect_mm": rect, "visible_pixels_rect": lump.visible_pixels_rectified}
     return document
-
-
-def _calibration(scene: Scene) -> dict[str, Any]:
-    c = scene.calibration
-
-    def camera(model: CameraModel) -> dict[str, Any]:
-        lens = {"focal_px": list(model.focal_px), "principal_point_px": list(model.principal_point_px)}
-        return lens | ({"distortion": list(model.distortion)} if model.distortion else {})
-
-    rotation = cv2.Rodrigues(c.R_right_left)[0].ravel()
-    return {
-        "format": "stereo_ore/stereo-calibration", "version": 1, "camera": c.camera,
-        "image_size": list(c.image_size), "images": c.images, "left": camera(c.left), "right": camera(c.right),
-        "right_from_left": {"rotation_vector_rad": rotation.tolist(), "translation_m": c.t_right_left.tolist()},
-    }  # fmt: skip
-
-
-def _site(scene: Scene) -> dict[str, Any]:
-    spec, site = scene.spec, scene.site
-    assert site.T_arm_camera is not None
-    assert site.volume is not None
-    T_ws = spec.T_world_screen
-    plane = {"frame": "arm", "normal": T_ws[:3, 2].tolist(), "offset_m": float(T_ws[:3, 2] @ T_ws[:3, 3])}
-    return {
-        "format": "stereo_ore/site", "version": 1, "arm_from_camera": site.T_arm_camera.round(9).tolist(),
-        "working_volume": {
-            "frame": "arm", "min_m": site.volume.min_m.round(4).tolist(), "max_m": site.volume.max_m.round(4).tolist(),
-        },
-        "grizzly": {"opening_m": spec.screen.opening, "bar_width_m": spec.screen.bar_width, "plane": plane},
-    }  # fmt: skip
