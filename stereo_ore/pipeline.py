@@ -194,8 +194,9 @@ def _degrade(result: FrameResult, reason: Reason) -> FrameResult:
 
 
 def _failed(result: FrameResult, error: FrameError) -> FrameResult:
-    reason = Reason(error.code, str(error))
-    return replace(result, status="failed", reasons=(*result.reasons, reason), ores=(), targets=())
+    """A frame that ends early: with a filtered cloud it is "degraded", for the cloud is still good; else "failed"."""
+    reasons = (*result.reasons, Reason(error.code, str(error)))
+    return replace(result, status="degraded" if result.filtered else "failed", reasons=reasons, ores=(), targets=())
 
 
 def _count(result: FrameResult, **counts: int) -> FrameResult:

@@ -167,8 +167,8 @@ def _summarise(out: Path) -> None:
 
     frames = [json.loads(line) for line in (out / "frames.jsonl").read_text(encoding="utf-8").splitlines()]
     failed = [frame for frame in frames if frame["status"] == "failed"]
-    for frame in failed[:5]:
-        log.warning("frame %s failed: %s", frame["frame"], frame["reasons"][-1]["detail"])
+    for frame in [frame for frame in frames if frame["status"] in ("failed", "degraded")][:5]:
+        log.warning("frame %s is %s: %s", frame["frame"], frame["status"], frame["reasons"][-1]["detail"])
     if frames and len(failed) == len(frames):
         reason = failed[0]["reasons"][-1]
         raise FrameError(f"no frame could be processed; the first: {reason['detail']}", code=reason["code"])

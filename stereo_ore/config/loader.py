@@ -89,8 +89,9 @@ def dump_config(config: Config, comments: bool = False) -> str:
     for name, field in Config.model_fields.items():
         section: BaseModel = getattr(config, name)
         doc = (type(section).__doc__ or "").splitlines()[0]
-        lines += [f"# {field.description or doc}", f"{name}:"]
-        for key, value in section.model_dump(mode="json").items():
+        values = section.model_dump(mode="json")
+        lines += [f"# {field.description or doc}", f"{name}:" if values else f"{name}: {{}}"]
+        for key, value in values.items():
             text = yaml.safe_dump(value, default_flow_style=True, allow_unicode=True).removesuffix("...\n").strip()
             lines.append(f"  {key}: {text}  # {_comment(type(section), key)}")
     return "\n".join(lines) + "\n"

@@ -62,7 +62,8 @@ def open_two_files(left: Path, right: Path) -> ImagePairs:
     for file in (left, right):
         if not file.is_file():
             raise SourceError("no such file", file=file, remedy="Check the path")
-    return ImagePairs(left.parent, frame_names([split_name(left.stem)[1] or left.stem]), ((left, right),))
+    key = split_name(left.stem)[1] or left.resolve().parent.name
+    return ImagePairs(left.parent, frame_names([key]), ((left, right),))
 
 
 def open_folder(path: Path) -> ImagePairs | SideBySideImages:
