@@ -74,9 +74,12 @@ def _draw_banner(image: U8, result: FrameResult, scale: float) -> None:
 
 
 def _text(image: U8, text: str, at: tuple[int, int], scale: float) -> None:
-    for colour, thickness in ((BLACK, 3), (WHITE, 1)):
-        width = max(1, round(thickness * scale))
-        cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5 * scale, colour, width, cv2.LINE_AA)
+    """White with a dark rim; the rim is the same text shifted, for a bolder font would be wider."""
+    rim = max(1, round(scale))
+    around = [(dx * rim, dy * rim, BLACK) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
+    for dx, dy, colour in [*around, (0, 0, WHITE)]:
+        where = (at[0] + dx, at[1] + dy)
+        cv2.putText(image, text, where, cv2.FONT_HERSHEY_SIMPLEX, 0.5 * scale, colour, rim, cv2.LINE_AA)
 
 
 def _pixel(rig: Rig, point: F64) -> tuple[int, int]:
