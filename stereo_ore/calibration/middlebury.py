@@ -35,7 +35,7 @@ def read(path: Path, text: str, wishes: Wishes) -> StereoCalibration:
         image_size=size_of(path, size, wishes),
         left=_camera(left),
         right=_camera(right),
-        translation_m=(-_number(path, entries, "baseline") / 1000, 0.0, 0.0),
+        translation_m=(-round(_number(path, entries, "baseline") / 1000, 12), 0.0, 0.0),
         images="rectified",
         camera=path.parent.name or path.stem,
     )

@@ -37,6 +37,15 @@ def read(path: Path, text: str, wishes: Wishes) -> StereoCalibration:
     """
     files = other_eye(path, _EYES)
     left, right = (_eye(file, text if file == path else read_text(file, CalibrationError)) for file in files)
+    return combine(files, left, right, wishes)
+
+
+def combine(files: tuple[Path, Path], left: dict[str, Any], right: dict[str, Any], wishes: Wishes) -> StereoCalibration:
+    """The calibration of two eyes given as K (9,), D, R (9,), P (12,), width, height and model (of the distortion)."""
+    for file, eye in zip(files, (left, right), strict=True):
+        if not eye["K"].any() or eye["P"][0] == 0:
+            problem = "all of K or P is zero: this camera was never calibrated"
+            raise CalibrationError(problem, file=file, key="camera_matrix")
     sizes = [
         size_of(file, [eye["width"], eye["height"]], wishes) for file, eye in zip(files, (left, right), strict=True)
     ]
@@ -48,13 +57,15 @@ def read(path: Path, text: str, wishes: Wishes) -> StereoCalibration:
             f"P[0,3] of the left eye must be 0, not {P_left[0, 3]:g}; are the eyes swapped?", file=files[0]
         )
     shift = np.array([P_right[0, 3] / P_right[0, 0], 0.0, 0.0]) * wishes.unit_m
-    common: dict[str, Any] = {"image_size": sizes[0], "camera": path.parent.name if path.parent.name else path.stem}
+    common: dict[str, Any] = {"image_size": sizes[0], "camera": files[0].parent.name or files[0].stem}
     if wishes.images == "rectified":
         left_eye, right_eye = _camera(P_left[:, :3]), _camera(P_right[:, :3])
-        return make_calibration(path, left=left_eye, right=right_eye, translation_m=shift, images="rectified", **common)
+        return make_calibration(
+            files[0], left=left_eye, right=right_eye, translation_m=shift, images="rectified", **common
+        )
     R_left, R_right = left["R"].reshape(3, 3), right["R"].reshape(3, 3)
     return make_calibration(
-        path,
+        files[0],
         left=_camera(left["K"].reshape(3, 3), left["D"], left["model"]),
         right=_camera(right["K"].reshape(3, 3), right["D"], right["model"]),
         rotation=R_right.T @ R_left,
@@ -72,10 +83,6 @@ def _eye(path: Path, text: str) -> dict[str, Any]:
         raise CalibrationError(f"{model!r} is not one of {', '.join(_MODELS)}", file=path, key="distortion_model")
     lengths = {"K": 9, "R": 9, "P": 12, "D": None, "width": 1, "height": 1}
     eye = {name: numbers(path, *_entry(path, data, name), count) for name, count in lengths.items()}
-    if not eye["K"].any() or eye["P"][0] == 0:
-        raise CalibrationError(
-            "all of K or P is zero: this camera was never calibrated", file=path, key="camera_matrix"
-        )
     size = {name: float(eye[name][0]) for name in ("width", "height")}
     return eye | size | {"model": model}
 

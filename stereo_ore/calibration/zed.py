@@ -63,7 +63,7 @@ def read(path: Path, text: str, wishes: Wishes) -> StereoCalibration:
         left=eyes["left"],
         right=eyes["right"],
         rotation=rotation,
-        translation_m=[value / 1000 for value in (-baseline, *shift)],
+        translation_m=[round(value / 1000, 12) for value in (-baseline, *shift)],
         images="raw",
         camera=f"ZED {path.stem} {mode}",
     )

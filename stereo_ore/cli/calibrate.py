@@ -11,6 +11,8 @@ import typer
 from stereo_ore.errors import CalibrationError, OutputError
 
 if TYPE_CHECKING:
+    from stereo_ore.calibration.board import BoardView
+    from stereo_ore.calibration.detect import Board
     from stereo_ore.types import StereoCalibration
 
 log = logging.getLogger(__name__)
@@ -80,6 +82,68 @@ def show(
     if picture is not None:
         draw(calibration, picture)
         log.info("wrote %s", picture)
+
+
+@group.command()
+def stereo(
+    source: Annotated[Path, typer.Argument(help="Recorded pairs of a board, in any known layout.")],
+    board: Annotated[str, typer.Option(help="Inner corners along the two sides: CxR.")],
+    square_mm: Annotated[float, typer.Option(help="Side of a square, measured.")],
+    out: Annotated[Path, typer.Option("--out", help="Native YAML to write.")],
+    marker_mm: Annotated[float | None, typer.Option(help="ChArUco: side of a marker.")] = None,
+    dictionary: Annotated[str, typer.Option(help="ChArUco: dictionary of cv2.aruco.")] = "DICT_5X5_100",
+    coefficients: Annotated[Literal["4", "5", "8"], typer.Option(help="Distortion coefficients.")] = "5",
+    picture: Annotated[Path | None, typer.Option(help="PNG of the coverage to write.")] = None,
+    name: Annotated[str, typer.Option("--name", help="Free text for `camera`.")] = "",
+) -> None:
+    """Calibrate a camera from recorded pairs of a chessboard or ChArUco board.
+
+    Example: `stereo-ore calibrate stereo recordings/board --board 9x6 --square-mm 25 --out calib/ours.yaml`
+    """
+    from dataclasses import replace
+
+    from stereo_ore.calibration.board import calibrate_stereo, draw_coverage, report
+    from stereo_ore.calibration.detect import Board
+
+    columns, rows = _pair(board.lower(), "x", "--board")
+    marker_m = None if marker_mm is None else marker_mm / 1000
+    target = Board(columns, rows, square_mm / 1000, marker_m, dictionary)
+    views, size = _views(source, target)
+    result = calibrate_stereo(views, target, size, int(coefficients))
+    typer.echo(report(result))
+    write(replace(result.calibration, camera=name or source.name), out)
+    if picture is not None:
+        draw_coverage(result, picture)
+
+
+def _views(source: Path, board: Board) -> tuple[list[BoardView], tuple[int, int]]:
+    """The board in each pair of a recording, and the size of its images."""
+    import cv2
+
+    from stereo_ore.calibration.board import BoardView, find_view
+    from stereo_ore.errors import FrameError
+    from stereo_ore.sources import open_source
+
+    recording = open_source(source)
+    views: list[BoardView] = []
+    size: tuple[int, int] | None = None
+    for index, name in enumerate(recording.names):
+        log.info("looking for the board in %s", name)
+        try:
+            pair = recording.read(index)
+        except FrameError as fault:
+            views.append(BoardView(name, reason=str(fault)))
+            continue
+        height, width = pair.left.shape[:2]
+        if size not in (None, (width, height)):
+            views.append(BoardView(name, reason=f"images of {width}×{height} px, the others have {size}"))
+            continue
+        size = width, height
+        left, right = (cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) for image in (pair.left, pair.right))
+        views.append(find_view(name, left, right, board))
+    if size is None:
+        raise CalibrationError("holds no pair that can be read", file=source)
+    return views, size
 
 
 def _load(file: Path, images: Images, size: str | None, unit: str, eyes: str | None) -> StereoCalibration:
