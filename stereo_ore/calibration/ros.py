@@ -43,6 +43,8 @@ def read(path: Path, text: str, wishes: Wishes) -> StereoCalibration:
 def combine(files: tuple[Path, Path], left: dict[str, Any], right: dict[str, Any], wishes: Wishes) -> StereoCalibration:
     """The calibration of two eyes given as K (9,), D, R (9,), P (12,), width, height and model (of the distortion)."""
     for file, eye in zip(files, (left, right), strict=True):
+        if (model := eye["model"]) not in _MODELS:
+            raise CalibrationError(f"{model!r} is not one of {', '.join(_MODELS)}", file=file, key="distortion_model")
         if not eye["K"].any() or eye["P"][0] == 0:
             problem = "all of K or P is zero: this camera was never calibrated"
             raise CalibrationError(problem, file=file, key="camera_matrix")
@@ -79,8 +81,6 @@ def _eye(path: Path, text: str) -> dict[str, Any]:
     """The entries of one eye by their letter."""
     data = parse_yaml(text, path, CalibrationError)
     model = data.get("distortion_model", "plumb_bob")
-    if model not in _MODELS:
-        raise CalibrationError(f"{model!r} is not one of {', '.join(_MODELS)}", file=path, key="distortion_model")
     lengths = {"K": 9, "R": 9, "P": 12, "D": None, "width": 1, "height": 1}
     eye = {name: numbers(path, *_entry(path, data, name), count) for name, count in lengths.items()}
     size = {name: float(eye[name][0]) for name in ("width", "height")}
