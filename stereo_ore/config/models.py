@@ -29,9 +29,10 @@ class MatchingConfig(StageConfig):
     pre_filter_cap: int = param(31, "truncation of the prefiltered gradient", "grey levels", ge=1, le=63)
     min_disparity: int | None = param(None, "smallest disparity searched; null: 0, or from the working volume", "px")
     num_disparities: int | None = param(
-        None, "disparities searched; null: from the working volume, or 128 at 1280 px of width", "px", ge=16
+        None, "disparities searched; null: from the working volume, or a fifth of the image width", "px", ge=16
     )
     use_region: bool = param(True, "search only the image region and the disparities that the working volume can show")
+    narrow: bool = param(True, "look at a small copy of each pair first, and search only what it shows")
     lr_max_diff: float = param(1.0, "left-right difference above which a disparity is dropped", "px", gt=0)
     speckle_size: int = param(40, "connected disparities fewer than this are dropped (0: off)", "px", ge=0)
     speckle_range: float = param(1.0, "step that separates them", "px", gt=0)

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import cv2
 import numpy as np
 
 from stereo_ore.config import MatchingConfig
-from stereo_ore.matching import cues, sgbm
+from stereo_ore.matching import consistency, cues, sgbm, subpixel
 from stereo_ore.matching.region import default_disparities
-from stereo_ore.types import F32, U8, Disparity, Mask, RectifiedPair, Region, Rig
+from stereo_ore.types import F32, U8, Disparity, RectifiedPair, Region, Rig
 
 
 def match(pair: RectifiedPair, region: Region, config: MatchingConfig) -> Disparity:
@@ -22,7 +21,7 @@ def match(pair: RectifiedPair, region: Region, config: MatchingConfig) -> Dispar
     pair : RectifiedPair
         Row-aligned BGR images.
     region : Region
-        Where to match, from `find_region`.
+        Where to match, from `find_region` or `narrow`.
     config : MatchingConfig
         Parameters of the matcher.
 
@@ -30,85 +29,42 @@ def match(pair: RectifiedPair, region: Region, config: MatchingConfig) -> Dispar
     -------
     Disparity
         Full-image values [px], the calibration's correction added, NaN outside the region and where nothing reliable
-        was found; cues for each pixel; counts of what was dropped and why.
+        was found; cues for each pixel; counts of what each step left.
     """
-    images = sgbm.crop(_grey(pair.left), _grey(pair.right), region)
-    left, right = sgbm.match_left(images, config), sgbm.match_right(images, config)
-    lr_diff = left_right_difference(left, right, region.num_disparities)
-    found = np.isfinite(left)
-    consistent = lr_diff <= config.lr_max_diff
-    inside = _has_counterpart(left, region)
-    values = np.where(consistent & inside, left, np.float32(np.nan))
-    steady = drop_speckles(values, config)
-    doubts = cues.compute(_inner(images.left, region), _warp(images, steady), steady, lr_diff)
-    counts = _counts(pair.rig, region, {
-        "matched": found, "consistent": found & consistent & inside, "disparities": np.isfinite(steady)
-    })  # fmt: skip
-    offset = region.min_disparity + pair.rig.disparity_offset_px
+    images = sgbm.crop(grey(pair.left), grey(pair.right), region)
+    left, lr_diff, valid = consistency.match_both(images, config)
+    filled = np.where(valid, left, np.float32(0))
+    refined = subpixel.refine(images, filled, valid)
+    doubts = cues.compute(filled, valid, lr_diff, refined)
+    offset = np.float32(region.min_disparity + pair.rig.disparity_offset_px)
+    values = np.where(valid, refined.values + offset, np.float32(np.nan))
+    passed = {"matched": np.isfinite(left), "disparities": valid}
     return Disparity(
-        _full(pair.rig, region, steady + np.float32(offset)),
+        _full(pair.rig, region, values),
         region,
         {name: _full(pair.rig, region, cue) for name, cue in doubts.items()},
-        counts,
+        search_saved(pair.rig, region) | {name: int(mask.sum()) for name, mask in passed.items()},
     )
 
 
-def left_right_difference(left: F32, right: F32, num_disparities: int) -> F32:
-    """|left's disparity − the right's at its counterpart| [px], (h, w); NaN where either is missing.
-
-    The right's is interpolated between the two nearest columns, so the comparison is in fractions of a pixel.
-    """
-    height, width = left.shape
-    columns = np.arange(width, dtype=np.float32) + num_disparities
-    x = np.where(np.isfinite(left), columns - left, np.float32(-1))
-    y = np.broadcast_to(np.arange(height, dtype=np.float32)[:, None], left.shape)
-    nearest = cv2.remap(right, x, np.ascontiguousarray(y), cv2.INTER_NEAREST, borderValue=float("nan"))
-    return np.asarray(np.abs(left - nearest), np.float32)
-
-
-def drop_speckles(values: F32, config: MatchingConfig) -> F32:
-    """Without connected patches smaller than `speckle_size`."""
-    if config.speckle_size == 0:
-        return values
-    none = -sgbm.SUBPIXEL
-    fixed = np.where(np.isfinite(values), np.rint(values * sgbm.SUBPIXEL), none).astype(np.int16)
-    cv2.filterSpeckles(fixed, none, config.speckle_size, config.speckle_range * sgbm.SUBPIXEL)
-    return np.where(fixed == none, np.float32(np.nan), values)
-
-
-def _grey(image: U8) -> U8:
+def grey(image: U8) -> U8:
+    """Brightness of a BGR image, (H, W) uint8."""
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
 
 
-def _inner(image: U8, region: Region) -> U8:
-    """The region's own columns of a crop."""
-    n = region.num_disparities
-    return np.ascontiguousarray(image[:, n:-n])
-
-
-def _warp(images: sgbm.Crop, values: F32) -> F32:
-    """The right image as the left eye would see it, (h, w) float32."""
-    height, width = values.shape
-    columns = np.arange(width, dtype=np.float32) + images.region.num_disparities
-    x = columns - np.where(np.isfinite(values), values, np.float32(0))
-    y = np.broadcast_to(np.arange(height, dtype=np.float32)[:, None], values.shape)
-    return np.asarray(cv2.remap(images.right.astype(np.float32), x, np.ascontiguousarray(y), cv2.INTER_LINEAR))
-
-
-def _has_counterpart(values: F32, region: Region) -> Mask:
-    """True where the matching pixel of the right image exists."""
-    return np.arange(region.x0, region.x1) - region.min_disparity - values >= 0
+def search_saved(rig: Rig, region: Region) -> dict[str, Any]:
+    """The search, and the share of that of the whole image and the default range that it saves."""
+    pixels = (region.x1 - region.x0) * (region.y1 - region.y0)
+    whole = rig.width * rig.height * default_disparities(rig.width)
+    return {
+        "pixels": pixels,
+        "min_disparity": region.min_disparity,
+        "num_disparities": region.num_disparities,
+        "saved_share": 1 - pixels * region.num_disparities / whole,
+    }
 
 
 def _full(rig: Rig, region: Region, part: F32) -> F32:
     whole = np.full((rig.height, rig.width), np.nan, np.float32)
     whole[region.slices] = part
     return whole
-
-
-def _counts(rig: Rig, region: Region, masks: Mapping[str, Mask]) -> dict[str, Any]:
-    """How many pixels passed each step, and the share of the whole image's search that the region saved."""
-    pixels = (region.x1 - region.x0) * (region.y1 - region.y0)
-    whole = rig.width * rig.height * default_disparities(rig.width)
-    saved = 1 - pixels * region.num_disparities / whole
-    return {"pixels": pixels, **{name: int(mask.sum()) for name, mask in masks.items()}, "saved_share": saved}

@@ -48,20 +48,20 @@ def find_region(rig: Rig, volume: Volume | None, config: MatchingConfig) -> Regi
         lowest, count = _range(rig, seen)
     lowest = lowest if config.min_disparity is None else config.min_disparity
     count = count if config.num_disparities is None else config.num_disparities
-    return Region(x0, y0, x1, y1, lowest, _round_up(count))
+    return Region(x0, y0, x1, y1, lowest, round_up(count))
 
 
 def default_disparities(width: int) -> int:
-    """128 disparities at 1280 px of width, in proportion at others."""
-    return _round_up(math.ceil(width / 10))
+    """256 disparities at 1280 px of width, in proportion at others."""
+    return round_up(math.ceil(width / 5))
 
 
 def visible_part(rig: Rig, volume: Volume) -> F64:
-    """Corners (n, 3) [m] of the part of the volume that is in view, no nearer than half the image width of disparity.
+    """Corners (n, 3) [m] of the part of the volume that is in view, as near as the default disparities reach.
 
     The faces of the box are clipped by the planes of the view (Sutherland and Hodgman 1974).
     """
-    near = rig.fx * rig.baseline_m / (rig.width / 2)
+    near = rig.fx * rig.baseline_m / default_disparities(rig.width)
     planes = _view_planes(rig)
     corners = volume.corners
     parts = [_clip(corners[list(face)], planes, near) for face in _FACES]
@@ -112,5 +112,7 @@ def _range(rig: Rig, seen: F64) -> tuple[int, int]:
     return lowest, math.ceil(d.max()) + MARGIN_DISPARITY_PX - lowest + 1
 
 
-def _round_up(count: int) -> int:
+def round_up(count: int) -> int:
+    """The next multiple of `STEP`, at least one."""
+    count = max(count, 1)
     return -(-count // STEP) * STEP

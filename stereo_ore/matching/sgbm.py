@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from stereo_ore.config import MatchingConfig
-from stereo_ore.types import F32, U8, Region
+from stereo_ore.types import F32, U8, Mask, Region
 
 SUBPIXEL = 16
 MODES = {
@@ -26,12 +24,24 @@ class Crop:
     """The grey images that a region needs, (h, w + 2n) each for n disparities; pixels outside the image repeat its rim.
 
     Region column j is column j + n of both. The right image is shifted by the smallest disparity, so that the search
-    begins at zero and no column of the region is lost to the border.
+    begins at zero and no column of the region is lost to the border. Disparities of a crop are counted from there.
     """
 
     left: U8
     right: U8
     region: Region
+
+    @property
+    def inner(self) -> U8:
+        """The left image's own columns of the region, (h, w)."""
+        n = self.region.num_disparities
+        return np.ascontiguousarray(self.left[:, n:-n])
+
+    @property
+    def columns(self) -> F32:
+        """The crop column of each column of the region, (w,)."""
+        n = self.region.num_disparities
+        return np.arange(n, self.left.shape[1] - n, dtype=np.float32)
 
 
 def crop(left: U8, right: U8, region: Region) -> Crop:
@@ -41,14 +51,15 @@ def crop(left: U8, right: U8, region: Region) -> Crop:
     columns = np.arange(region.x0 - n, region.x1 + n)
     take_left = np.clip(columns, 0, width - 1)
     take_right = np.clip(columns - region.min_disparity, 0, width - 1)
-    return Crop(left[rows, take_left], right[rows, take_right], region)
+    return Crop(left[rows][:, take_left], right[rows][:, take_right], region)
 
 
 def match_left(images: Crop, config: MatchingConfig) -> F32:
-    """Disparity beyond the region's smallest of its pixels, (h, w) float32 [px], NaN where none was found."""
+    """Disparity of the region's pixels, (h, w) float32 [px], NaN where none was found."""
     n = images.region.num_disparities
     end = images.left.shape[1] - n
-    fixed = _matcher(config, 0, n).compute(_c(images.left[:, :end]), _c(images.right[:, :end]))
+    matcher = _matcher(config, 0, n)
+    fixed = matcher.compute(np.ascontiguousarray(images.left[:, :end]), np.ascontiguousarray(images.right[:, :end]))
     return _to_float(fixed[:, n:], 0)
 
 
@@ -60,6 +71,17 @@ def match_right(images: Crop, config: MatchingConfig) -> F32:
     n = images.region.num_disparities
     fixed = _matcher(config, 1 - n, n).compute(images.right, images.left)
     return -_to_float(fixed[:, : images.right.shape[1] - n], 1 - n)
+
+
+def drop_speckles(values: F32, size: int, step_px: float) -> Mask:
+    """True where a disparity belongs to a connected patch of at least `size` pixels."""
+    valid = np.isfinite(values)
+    if size == 0:
+        return valid
+    none = -SUBPIXEL
+    fixed = np.where(valid, values * np.float32(SUBPIXEL), np.float32(none)).astype(np.int16)
+    cv2.filterSpeckles(fixed, none, size, step_px * SUBPIXEL)
+    return np.asarray(fixed != none)
 
 
 def _matcher(config: MatchingConfig, lowest: int, count: int) -> cv2.StereoSGBM:
@@ -78,12 +100,8 @@ def _matcher(config: MatchingConfig, lowest: int, count: int) -> cv2.StereoSGBM:
     )
 
 
-def _to_float(fixed: npt.NDArray[Any], lowest: int) -> F32:
+def _to_float(fixed: cv2.typing.MatLike, lowest: int) -> F32:
     """OpenCV's int16 sixteenths of a pixel as float32, its "none" as NaN."""
     values = fixed.astype(np.float32) / np.float32(SUBPIXEL)
     values[fixed < lowest * SUBPIXEL] = np.nan
-    return values
-
-
-def _c(image: U8) -> U8:
-    return np.ascontiguousarray(image)
+    return np.asarray(values, np.float32)

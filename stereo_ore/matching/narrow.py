@@ -1,0 +1,110 @@
+"""A look at a small copy of the pair: how much of a region the frame in hand needs."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+
+from stereo_ore.config import MatchingConfig
+from stereo_ore.matching import consistency, sgbm
+from stereo_ore.matching.match import grey
+from stereo_ore.matching.region import MARGIN_PX, round_up
+from stereo_ore.types import F32, U8, Mask, RectifiedPair, Region, Rig, Volume
+
+COARSE_WIDTH_PX = 320
+"""Width to which the pair is reduced."""
+
+COARSE = {"mode": "3way", "uniqueness": 10, "lr_max_diff": 1.0, "speckle_size": 20, "speckle_range": 1.0}
+"""A noisy disparity of the small copy would widen the range, so doubt decides against it; no lump is a speckle."""
+
+LEAST_SHARE = 0.02
+"""Below this share of matched pixels the small copy is not believed."""
+
+
+def narrow(pair: RectifiedPair, region: Region, volume: Volume | None, config: MatchingConfig) -> Region:
+    """The part of a region, and of its disparities, that this frame shows.
+
+    A reduced copy is matched first. It is searched down to infinity: a pixel that shows the pit behind the volume must
+    be free to say so, or it would be given the best disparity inside.
+
+    Parameters
+    ----------
+    pair : RectifiedPair
+        Row-aligned BGR images.
+    region : Region
+        From `find_region`.
+    volume : Volume or None
+        Limits the rectangle to where points of the copy lie inside.
+    config : MatchingConfig
+        `narrow` false, or an explicit number of disparities: the region is returned as it is.
+    """
+    if not config.narrow or config.num_disparities is not None:
+        return region
+    scale = max(pair.rig.width // COARSE_WIDTH_PX, 1)
+    coarse = _coarse_region(pair.rig, region, scale)
+    images = sgbm.crop(_reduce(grey(pair.left), scale), _reduce(grey(pair.right), scale), coarse)
+    values, _, seen = consistency.match_both(images, config.model_copy(update=COARSE))
+    if seen.mean() < LEAST_SHARE:
+        return region
+    disparity = (values + np.float32(coarse.min_disparity)) * np.float32(scale)
+    rectangle = _rectangle(pair.rig, region, coarse, scale, disparity, seen, volume)
+    return _range(region, rectangle, coarse, scale, disparity, seen)
+
+
+def _coarse_region(rig: Rig, region: Region, scale: int) -> Region:
+    lowest = math.floor(min(region.min_disparity, max(0.0, -rig.doffs_px)) / scale)
+    highest = math.ceil((region.min_disparity + region.num_disparities) / scale)
+    x1, y1 = min(-(-region.x1 // scale), rig.width // scale), min(-(-region.y1 // scale), rig.height // scale)
+    return Region(region.x0 // scale, region.y0 // scale, x1, y1, lowest, round_up(highest - lowest))
+
+
+def _reduce(image: U8, scale: int) -> U8:
+    height, width = image.shape[0] // scale, image.shape[1] // scale
+    part = image[: height * scale, : width * scale]
+    return np.asarray(cv2.resize(part, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _rectangle(
+    rig: Rig, region: Region, coarse: Region, scale: int, disparity: F32, seen: Mask, volume: Volume | None
+) -> tuple[int, int, int, int]:
+    """Corners of what shows the volume, x0, y0, x1, y1 [px]; the region's own without a volume."""
+    whole = (region.x0, region.y0, region.x1, region.y1)
+    if volume is None:
+        return whole
+    rows, columns = np.nonzero(_shows(rig, coarse, scale, disparity, volume) & seen)
+    if not len(rows):
+        return whole
+    margin = MARGIN_PX + scale
+    return (
+        max((int(columns.min()) + coarse.x0) * scale - margin, region.x0),
+        max((int(rows.min()) + coarse.y0) * scale - margin, region.y0),
+        min((int(columns.max()) + coarse.x0 + 1) * scale + margin, region.x1),
+        min((int(rows.max()) + coarse.y0 + 1) * scale + margin, region.y1),
+    )
+
+
+def _shows(rig: Rig, coarse: Region, scale: int, disparity: F32, volume: Volume) -> Mask:
+    """True where a disparity within half a pixel of the copy's lies inside the volume."""
+    v, u = np.mgrid[coarse.y0 : coarse.y1, coarse.x0 : coarse.x1] * scale + (scale - 1) / 2
+    inside = np.zeros(disparity.shape, bool)
+    for error in (-scale / 2, 0.0, scale / 2):
+        z = rig.depth(disparity + rig.disparity_offset_px + error)
+        inside |= volume.contains(rig.back_project(u, v, z))
+    return inside
+
+
+def _range(
+    region: Region, rectangle: tuple[int, int, int, int], coarse: Region, scale: int, disparity: F32, seen: Mask
+) -> Region:
+    """The rectangle with the disparities seen in it, half a pixel of the copy more at both ends."""
+    x0, y0, x1, y1 = rectangle
+    part = (
+        slice(y0 // scale - coarse.y0, -(-y1 // scale) - coarse.y0),
+        slice(x0 // scale - coarse.x0, -(-x1 // scale) - coarse.x0),
+    )
+    found = disparity[part][seen[part]]
+    lowest = max(math.floor(found.min() - scale / 2), coarse.min_disparity * scale)
+    highest = min(math.ceil(found.max() + scale / 2), region.min_disparity + region.num_disparities - 1)
+    return Region(x0, y0, x1, y1, lowest, round_up(highest - lowest + 1))

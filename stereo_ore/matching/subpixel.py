@@ -1,0 +1,80 @@
+"""Sub-pixel disparities from the images themselves: the matcher's parabola prefers whole pixels, the images do not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from stereo_ore.matching import windows
+from stereo_ore.matching.sgbm import Crop
+from stereo_ore.types import F32, Mask
+
+PATCH_PX = 9
+"""Window over which the images are compared."""
+
+BEFORE_PX, BEFORE_STEP_PX = 5, 1.5
+AFTER_PX, AFTER_STEP_PX = 5, 1.0
+"""Windows over which disparities of one surface are averaged before and after, and the steps that end a surface."""
+
+MAX_SHIFT_PX = 0.5
+"""The parabola is never more than half a pixel wrong on the right minimum."""
+
+NOISE = 1.0
+"""Variance of the image gradient that noise alone makes [grey levels²]: without texture the parabola stands."""
+
+
+@dataclass(frozen=True)
+class Refined:
+    """Refined disparities with what the comparison of the images found, each (h, w) float32.
+
+    values [px] (anything where not valid), residual: |left − warped right| [grey levels], gradient: the left image's
+    horizontal one [grey levels a px].
+    """
+
+    values: F32
+    residual: F32
+    gradient: F32
+
+
+def refine(images: Crop, filled: F32, valid: Mask) -> Refined:
+    """One Gauss-Newton step of Lucas and Kanade's (1981) registration for each pixel.
+
+    With I_L(x) = I_R(x − d − δ) in a window, δ = −Σ g·r / Σ g², where r = I_L(x) − γ·I_R(x − d), g = ∂I_L/∂x and γ the
+    ratio of the eyes' brightness. Each pixel of the window is warped by its own disparity, so a slanted surface causes
+    no bias. Averaging over pixels of one surface before and after lowers the noise.
+
+    Parameters
+    ----------
+    images : Crop
+        Grey images.
+    filled : (h, w) float32
+        Disparity in the crop [px], anything where it is not valid.
+    valid : (h, w) bool
+        Where there is a disparity.
+    """
+    start = windows.smooth(filled, valid, BEFORE_PX, BEFORE_STEP_PX)
+    left = images.inner.astype(np.float32)
+    residual = left - _brightness_ratio(images) * warp(images, start)
+    residual[~valid] = 0
+    gradient = np.asarray(cv2.Sobel(left, cv2.CV_32F, 1, 0, ksize=1, scale=0.5), np.float32)
+    used = gradient * valid
+    slope = windows.mean(used * residual, PATCH_PX)
+    energy = windows.mean(used * used, PATCH_PX)
+    shift = np.clip(-slope / (energy + np.float32(NOISE)), -MAX_SHIFT_PX, MAX_SHIFT_PX)
+    refined = windows.smooth(start + shift, valid, AFTER_PX, AFTER_STEP_PX)
+    return Refined(refined, np.abs(residual), gradient)
+
+
+def warp(images: Crop, disparity: F32) -> F32:
+    """The right image as the left eye would see it, (h, w) float32 [grey levels]."""
+    x = images.columns - disparity
+    y = np.repeat(np.arange(len(x), dtype=np.float32)[:, None], x.shape[1], 1)
+    right = images.right.astype(np.float32)
+    return np.asarray(cv2.remap(right, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32)
+
+
+def _brightness_ratio(images: Crop) -> np.float32:
+    """Left over right brightness of the two crops."""
+    return np.float32(max(float(images.left.mean()), 1.0) / max(float(images.right.mean()), 1.0))

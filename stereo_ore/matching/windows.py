@@ -1,0 +1,38 @@
+"""Means over square windows, of what is valid in them."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from stereo_ore.types import F32, Mask
+
+EPSILON = np.float32(1e-6)
+
+
+def mean(image: F32, window: int) -> F32:
+    """Mean over a window of `window` px, (h, w)."""
+    return np.asarray(cv2.boxFilter(image, cv2.CV_32F, (window, window), borderType=cv2.BORDER_REFLECT), np.float32)
+
+
+def smooth(filled: F32, valid: Mask, window: int, step_px: float) -> F32:
+    """Disparities averaged over a window where the window shows one surface; elsewhere as they are.
+
+    Parameters
+    ----------
+    filled : (h, w) float32
+        Disparity [px], anything where it is not valid.
+    valid : (h, w) bool
+        Where there is a disparity.
+    window : int
+        Side of the window [px], odd.
+    step_px : float
+        A window whose disparities span at least this [px] shows more than one surface.
+    """
+    kernel = np.ones((window, window), np.uint8)
+    far = np.float32(1e4)
+    highest = cv2.dilate(np.where(valid, filled, -far), kernel)
+    lowest = cv2.erode(np.where(valid, filled, far), kernel)
+    weight = mean(valid.astype(np.float32), window)
+    average = mean(np.where(valid, filled, np.float32(0)), window) / np.maximum(weight, EPSILON)
+    return np.where(valid & (highest - lowest < step_px), average, filled)
