@@ -6,31 +6,37 @@ from collections.abc import Callable
 from pathlib import Path
 
 from stereo_ore.errors import SourceError
+from stereo_ore.sources.bag import BAG_SUFFIXES, BagOptions, is_bag_folder, open_bag
 from stereo_ore.sources.base import Source
 from stereo_ore.sources.folder import open_folder, open_two_files
 from stereo_ore.sources.images import IMAGE_SUFFIXES
 from stereo_ore.sources.side_by_side import open_side_by_side_image
+from stereo_ore.sources.video import VIDEO_SUFFIXES, open_video
 
-__all__ = ["Source", "open_source", "open_two_files"]
+__all__ = ["BagOptions", "Source", "open_source", "open_two_files"]
 
-Opener = Callable[[Path], Source]
+Opener = Callable[[Path, BagOptions], Source]
 
-FILE_OPENERS: dict[str, Opener] = dict.fromkeys(IMAGE_SUFFIXES, open_side_by_side_image)
+FILE_OPENERS: dict[str, Opener] = {
+    **dict.fromkeys(IMAGE_SUFFIXES, lambda path, _: open_side_by_side_image(path)),
+    **dict.fromkeys(VIDEO_SUFFIXES, lambda path, _: open_video(path)),
+    **dict.fromkeys(BAG_SUFFIXES, open_bag),
+}
 """Openers by file suffix; to add a container format, add its line here."""
 
 
-def open_source(path: Path) -> Source:
-    """Open a recording: a folder in any known layout, or a file.
+def open_source(path: Path, options: BagOptions = BagOptions()) -> Source:  # noqa: B008 - immutable
+    """Open a recording: a folder in any known layout, or a file; `options` matter for bags.
 
     Raises
     ------
     SourceError
         When there is nothing there or the layout is none of the known ones, saying what was found.
     """
-    if path.is_dir():
-        return open_folder(path)
     if not path.exists():
         raise SourceError("no such file or folder", file=path, remedy="Check the path")
+    if path.is_dir():
+        return open_bag(path, options) if is_bag_folder(path) else open_folder(path)
     suffix = path.suffix.lower()
     if suffix in (".svo", ".svo2"):
         raise SourceError(
@@ -40,12 +46,13 @@ def open_source(path: Path) -> Source:
         )
     if suffix not in FILE_OPENERS:
         raise SourceError(f"files ending in {suffix!r} are not known", file=path, remedy=f"Known: {known_layouts()}")
-    return FILE_OPENERS[suffix](path)
+    return FILE_OPENERS[suffix](path, options)
 
 
 def known_layouts() -> str:
     """One sentence that lists what a SOURCE can be."""
     return (
         "a folder with left/ and right/; a folder with left*.png right*.png (also *_left/_right, *L/*R); a folder that "
-        "holds left.png right.png, or a folder of such folders; a side-by-side image or a folder of them"
+        "holds left.png right.png, or a folder of such folders; a side-by-side image or a folder of them; "
+        "a side-by-side video; a ROS 1 or ROS 2 bag or MCAP file"
     )

@@ -1,7 +1,13 @@
-"""Image files as 8-bit BGR, or a typed error: a damaged file must never become half a picture."""
+"""Image files as BGR, or a typed error: a damaged file must never become half a picture."""
 
 from __future__ import annotations
 
+import os
+import re
+import sys
+import tempfile
+import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +21,8 @@ from stereo_ore.types import U8
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 MAX_PIXELS = 100_000_000
 _END_MARKS = {b"\x89PNG": b"IEND", b"\xff\xd8": b"\xff\xd9"}
+_DAMAGE = re.compile(rb"error|corrupt|premature|invalid", re.IGNORECASE)
+_stderr_lock = threading.Lock()
 
 
 def is_image(path: Path) -> bool:
@@ -27,20 +35,27 @@ Image = npt.NDArray[Any]
 
 
 def read_image(path: Path) -> Image:
-    """Decode an image as stored: (H, W, 3) BGR, uint8 or uint16; grey is repeated, alpha dropped.
+    """Decode an image file as stored: (H, W, 3) BGR, uint8 or uint16; grey is repeated, alpha dropped.
 
     Raises
     ------
     FrameError
-        When the file is missing, empty, cut off, too large, or no image.
+        When the file is missing, empty, cut off, damaged, too large, or no image.
     """
-    data = _read_bytes(path)
-    _check_complete(path, data)
     try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        image = None
-    if image is None:
+        data = path.read_bytes()
+    except OSError as fault:
+        raise FrameError(f"can't be read: {fault.strerror}", code="UNREADABLE_IMAGE", file=path) from None
+    return decode_image(data, path)
+
+
+def decode_image(data: bytes, path: Path) -> Image:
+    """Decode the bytes of an image file; as `read_image`. `path` is for messages."""
+    if not data:
+        raise FrameError("is empty", code="UNREADABLE_IMAGE", file=path, remedy="Record or copy it again")
+    _check_complete(path, data)
+    image, complaints = _overheard(lambda: _decode(data))
+    if image is None or _DAMAGE.search(complaints):
         raise FrameError(
             "can't be decoded as an image", code="UNREADABLE_IMAGE", file=path, remedy="Record or copy it again"
         )
@@ -48,17 +63,7 @@ def read_image(path: Path) -> Image:
         raise FrameError(f"has {image.shape[0] * image.shape[1]:,} pixels", code="IMAGE_TOO_LARGE", file=path)
     if image.dtype not in (np.uint8, np.uint16):
         raise FrameError(f"has {image.dtype} pixels; 8 or 16 bit are read", code="UNREADABLE_IMAGE", file=path)
-    return _as_bgr(path, image)
-
-
-def _read_bytes(path: Path) -> bytes:
-    try:
-        data = path.read_bytes()
-    except OSError as fault:
-        raise FrameError(f"can't be read: {fault.strerror}", code="UNREADABLE_IMAGE", file=path) from None
-    if not data:
-        raise FrameError("is empty", code="UNREADABLE_IMAGE", file=path, remedy="Record or copy it again")
-    return data
+    return as_bgr(image, path)
 
 
 def _check_complete(path: Path, data: bytes) -> None:
@@ -73,7 +78,33 @@ def _check_complete(path: Path, data: bytes) -> None:
             )
 
 
-def _as_bgr(path: Path, image: Image) -> Image:
+def _decode(data: bytes) -> Image | None:
+    try:
+        return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        return None
+
+
+def _overheard(action: Callable[[], Image | None]) -> tuple[Image | None, bytes]:
+    """The result of `action` and what it wrote to the process's standard error, which stays silent.
+
+    libjpeg and libtiff have no other way to say that the picture they return is damaged.
+    """
+    with _stderr_lock, tempfile.TemporaryFile() as ear:
+        sys.stderr.flush()
+        kept = os.dup(2)
+        try:
+            os.dup2(ear.fileno(), 2)
+            result = action()
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+        ear.seek(0)
+        return result, ear.read()
+
+
+def as_bgr(image: Image, path: Path) -> Image:
+    """An image of 1 to 4 channels as BGR: grey is repeated, alpha dropped."""
     channels = 1 if image.ndim == 2 else image.shape[2]
     if channels in (3, 4):
         return np.ascontiguousarray(image[:, :, :3])
@@ -83,11 +114,32 @@ def _as_bgr(path: Path, image: Image) -> Image:
     raise FrameError(f"has {channels} channels; 1 to 4 are read", code="UNREADABLE_IMAGE", file=path)
 
 
-def to_8_bit(*images: Image) -> tuple[U8, ...]:
+def check_same_size(left: Image, right: Image, left_name: str | Path, right_name: str) -> None:
+    """FrameError when the two eyes differ in size."""
+    if left.shape != right.shape:
+        (h0, w0), (h1, w1) = left.shape[:2], right.shape[:2]
+        raise FrameError(
+            f"is {w0}×{h0} but {right_name} is {w1}×{h1}", code="SIZE_MISMATCH", file=left_name, remedy="Record again"
+        )
+
+
+def split_in_two(image: Image, path: Path) -> tuple[Image, Image]:
+    """Left and right half of a side-by-side image."""
+    if image.shape[1] % 2:
+        raise FrameError(
+            f"is {image.shape[1]} px wide: two eyes need an even width",
+            code="SIZE_MISMATCH",
+            file=path,
+            remedy="Is this a side-by-side image? Use --left and --right for two files",
+        )
+    half = image.shape[1] // 2
+    return image[:, :half].copy(), image[:, half:].copy()
+
+
+def to_8_bit(left: Image, right: Image) -> tuple[U8, U8]:
     """Bring the images of one pair to 8 bit by one common shift, so that brightnesses stay comparable.
 
-    The shift is the smallest that fits the brightest value of all: a 12-bit camera in 16-bit files keeps its contrast.
+    The shift is the smallest that fits the brightest value of both: a 12-bit camera in 16-bit files keeps its contrast.
     """
-    top = max(int(image.max()) for image in images)
-    shift = max(top.bit_length() - 8, 0)
-    return tuple(image if image.dtype == np.uint8 else (image >> shift).astype(np.uint8) for image in images)
+    shift = max(int(max(left.max(), right.max())).bit_length() - 8, 0)
+    return (left >> shift).astype(np.uint8), (right >> shift).astype(np.uint8)

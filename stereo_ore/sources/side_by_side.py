@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from stereo_ore.errors import FrameError
-from stereo_ore.sources.images import read_image, to_8_bit
-from stereo_ore.types import StereoPair
+from stereo_ore.errors import SourceError
+from stereo_ore.sources.images import read_image, split_in_two, to_8_bit
+from stereo_ore.sources.names import frame_names, name_stamp, split_name
+from stereo_ore.types import StereoCalibration, StereoPair
 
 
 @dataclass(frozen=True)
@@ -17,6 +20,12 @@ class SideBySideImages:
     path: Path
     names: tuple[str, ...]
     images: tuple[Path, ...]
+    calibration: StereoCalibration | None = None
+
+    @property
+    def description(self) -> Mapping[str, Any]:
+        """Kind and number of frames."""
+        return {"kind": "side-by-side images", "frames": len(self.names)}
 
     def files(self, index: int) -> tuple[Path, ...]:
         """The file of frame `index`."""
@@ -24,19 +33,23 @@ class SideBySideImages:
 
     def read(self, index: int) -> StereoPair:
         """Read frame `index` and split it in the middle."""
-        image = read_image(self.images[index])
-        if image.shape[1] % 2:
-            raise FrameError(
-                f"is {image.shape[1]} px wide: two eyes need an even width",
-                code="SIZE_MISMATCH",
-                file=self.images[index],
-                remedy="Is this a side-by-side image? Use --left and --right for two files",
-            )
-        half = image.shape[1] // 2
-        left, right = to_8_bit(image[:, :half].copy(), image[:, half:].copy())
-        return StereoPair(self.names[index], index, left, right)
+        halves = split_in_two(read_image(self.images[index]), self.images[index])
+        return StereoPair(self.names[index], index, *to_8_bit(*halves), stamp_ns=name_stamp(self.names[index]))
 
 
 def open_side_by_side_image(path: Path) -> SideBySideImages:
-    """One frame of one file."""
-    return SideBySideImages(path.parent, (path.stem,), (path,))
+    """One frame of one file.
+
+    Raises
+    ------
+    SourceError
+        When the file's name says that it is one eye of a pair.
+    """
+    side, _ = split_name(path.stem)
+    if side:
+        raise SourceError(
+            f"is by its name the {side} eye of a pair, not a side-by-side image",
+            file=path,
+            remedy="Give the folder that holds both, or --left and --right",
+        )
+    return SideBySideImages(path.parent, frame_names([path.stem]), (path,))
