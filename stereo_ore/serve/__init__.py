@@ -1,0 +1,1 @@
+"""Live operation: frames as they arrive, recorded first, then published; targets that expire by themselves."""

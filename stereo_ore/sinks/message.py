@@ -1,0 +1,154 @@
+"""What the arm's side is told: the targets of a frame, with the time for which they hold.
+
+A message is valid only while its targets may be struck. Everything else (a degraded or failed frame, no arm frame, no
+new frame in time, the end of the program) is a message without targets.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from stereo_ore.types import F64
+
+SCHEMA = "stereo_ore/targets/1"
+
+Json = Mapping[str, Any]
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Target:
+    """One lump to strike, best first: arm frame, metres.
+
+    `direction` is the unit vector the tool moves along; `size_m` longest, middle and shortest dimension.
+    """
+
+    id: int
+    position_m: Vector
+    direction: Vector
+    size_m: Vector | None
+    oversize: bool | None
+    score: float
+
+
+@dataclass(frozen=True)
+class Message:
+    """The targets of one frame, or that there are none; `deadline` is on this process's monotonic clock [s]."""
+
+    sequence: int
+    frame: str | None
+    index: int | None
+    stamp_ns: int | None
+    published_ns: int
+    valid_until_ns: int
+    status: str
+    reasons: tuple[str, ...]
+    transform_id: str | None
+    replay: bool
+    targets: tuple[Target, ...] = ()
+    deadline: float = 0.0
+
+    @property
+    def valid(self) -> bool:
+        """Whether the targets might be struck until `valid_until_ns`."""
+        return bool(self.targets)
+
+    def current(self) -> Message:
+        """The message as it may be sent now: without its targets once they have expired."""
+        return self.withdrawn("EXPIRED") if self.targets and time.monotonic() >= self.deadline else self
+
+    def withdrawn(self, reason: str) -> Message:
+        """The same frame without targets, and why."""
+        return replace(self, targets=(), reasons=(*self.reasons, reason))
+
+    def json(self) -> dict[str, Any]:
+        """What goes over the wire; units and frame are in it."""
+        fields = asdict(self)
+        del fields["deadline"]
+        head = {"schema": SCHEMA, "sequence": self.sequence, "valid": self.valid, "units": "m", "coordinates": "arm"}
+        return head | fields
+
+    def line(self) -> str:
+        """One line of JSON."""
+        return json.dumps(self.json(), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+
+
+def notice(sequence: int, status: str, reason: str, *, replay: bool = False) -> Message:
+    """A message that belongs to no frame: the program starts, stops or is gone."""
+    now = time.time_ns()
+    return Message(sequence, None, None, None, now, now, status, (reason,), None, replay)
+
+
+def message(
+    record: Json, sequence: int, *, age_s: float, valid_for_s: float, transform_id: str | None, replay: bool
+) -> Message:
+    """The message of a frame's record.
+
+    Parameters
+    ----------
+    record : mapping
+        A record of ``frames.jsonl``.
+    sequence : int
+        Number of the message.
+    age_s : float
+        Time since the frame was taken or arrived [s]. A negative age, from a clock that was set back, is as
+        untrustworthy as a large one.
+    valid_for_s : float
+        How long the targets hold after that [s].
+    transform_id : str or None
+        Which arm-from-camera transform the positions were made with.
+    replay : bool
+        True when the frame is a recorded one, published again.
+    """
+    now, remaining_s = time.time_ns(), valid_for_s - abs(age_s)
+    targets, reasons = _targets(record)
+    whole = Message(
+        sequence=sequence,
+        frame=record["frame"],
+        index=record["index"],
+        stamp_ns=record["stamp_ns"],
+        published_ns=now,
+        valid_until_ns=now + max(0, int(1e9 * remaining_s)),
+        status=record["status"],
+        reasons=(*(reason["code"] for reason in record["reasons"]), *reasons),
+        transform_id=transform_id,
+        replay=replay,
+        targets=targets,
+        deadline=time.monotonic() + remaining_s,
+    )
+    return whole.current()
+
+
+def _targets(record: Json) -> tuple[tuple[Target, ...], tuple[str, ...]]:
+    """Targets that an arm can use, and the codes of what stands against the others."""
+    if record["status"] != "ok" or not record["targets"]:
+        return (), ()
+    if record["arm_frame"] is None:
+        return (), ("NO_ARM_FRAME",)
+    ores = {ore["id"]: ore for ore in record["ores"]}
+    found = tuple(_target(ores[id]) for id in record["targets"])
+    usable = tuple(target for target in found if target)
+    return usable, () if len(usable) == len(found) else ("TARGET_INCOMPLETE",)
+
+
+def _target(ore: Json) -> Target | None:
+    """None for an ore whose strike is not fully known: half a target is none."""
+    strike = ore["strike"]
+    if strike is None:
+        return None
+    point, direction = strike["point"]["arm"], strike["direction"]["arm"]
+    numbers = (*(point or (None,)), *(direction or (None,)), strike["score"])
+    if any(value is None for value in numbers):
+        return None
+    size = ore["size_m"] and tuple(ore["size_m"])
+    return Target(ore["id"], tuple(point), tuple(direction), size, ore["oversize"], strike["score"])
+
+
+def transform_id(T_arm_camera: F64 | None) -> str | None:
+    """Twelve hexadecimal digits that change with the transform; None without one."""
+    return None if T_arm_camera is None else hashlib.sha256(T_arm_camera.astype("<f8").tobytes()).hexdigest()[:12]

@@ -1,0 +1,236 @@
+"""Targets on an OPC UA server; the nodes are in `opcua_model`."""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import logging
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+from stereo_ore.errors import MissingExtraError, OutputError
+from stereo_ore.sinks.base import Outbox, SinkState
+from stereo_ore.sinks.message import Message, notice
+from stereo_ore.sinks.opcua_model import CONTROL, NAMESPACE, PAYLOAD, Variable
+
+if TYPE_CHECKING:
+    from asyncua import Node, Server, ua
+
+log = logging.getLogger(__name__)
+
+APPLICATION_URI = "urn:stereo-ore:server"
+PATH = "/stereo-ore"
+HEARTBEAT_S = 0.5
+STARTING_S = 60.0
+METRE = 5067858
+"""UNECE code of the metre, as OPC UA's EUInformation wants it."""
+
+
+@dataclass(frozen=True)
+class OpcUaSecurity:
+    """Server certificate and key, trusted client certificates (a folder), passwords by user; None: any."""
+
+    certificate: Path
+    private_key: Path
+    trusted: Path | None = None
+    users: Mapping[str, str] | None = field(default=None, repr=False)
+
+
+class OpcUaSink:
+    """Serves targets at ``opc.tcp://host:port/stereo-ore`` from a thread with its own event loop.
+
+    Clients can write nothing but the two nodes below ``Acknowledgement``.
+
+    Parameters
+    ----------
+    host, port
+        Where to listen.
+    security : OpcUaSecurity, optional
+        Without it connections are open and not encrypted: for this machine only, which the settings see to.
+    """
+
+    def __init__(self, host: str, port: int, security: OpcUaSecurity | None = None) -> None:
+        try:
+            import asyncua  # noqa: F401
+        except ImportError:
+            raise MissingExtraError("asyncua", "opcua") from None
+        self.url = f"opc.tcp://{host}:{port}{PATH}"
+        self._security = security
+        self._outbox = Outbox()
+        self._ready = threading.Event()
+        self._fault: BaseException | None = None
+        self._sent = 0
+        self._acknowledged = (0, 0)
+        self._server: Server | None = None
+        self._thread = threading.Thread(target=self._run, daemon=True, name="opcua")
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        if not self._ready.wait(STARTING_S) or self._fault:
+            remedy = "Is another program listening there? Are certificate and key readable?"
+            raise OutputError(f"can't serve {self.url}: {self._fault or 'no answer'}", key="opcua", remedy=remedy)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._outbox.close()
+        self._thread.join()
+
+    def publish(self, message: Message) -> None:
+        """Hand the message to the server's thread."""
+        self._outbox.put(message)
+
+    def state(self) -> SinkState:
+        """Connected clients, messages written, and what the arm acknowledged last."""
+        binary = self._server.bserver if self._server else None
+        clients = len(binary.clients) if binary else 0
+        sequence, target = self._acknowledged
+        detail = f"acknowledged: message {sequence}, ore {target}" if sequence else "nothing acknowledged"
+        return SinkState("OPC UA", self.url, clients > 0, clients, self._sent, self._outbox.dropped, detail)
+
+    def _run(self) -> None:
+        try:
+            asyncio.run(self._serve())
+        except Exception as fault:
+            self._fault = fault
+            log.debug("OPC UA server ended", exc_info=True)
+        finally:
+            self._ready.set()
+
+    async def _serve(self) -> None:
+        server = await _make_server(self.url, self._security)
+        nodes = await _add_nodes(server)
+        await self._write(server, nodes, notice(0, "starting", "STARTING"))
+        async with server:
+            self._server = server
+            self._ready.set()
+            beating = asyncio.create_task(self._beat(server, nodes))
+            while not self._outbox.finished:
+                message = await asyncio.to_thread(self._outbox.get, HEARTBEAT_S)
+                if message is not None:
+                    await self._write(server, nodes, message)
+                    self._sent += 1
+            beating.cancel()
+            # Subscriptions publish at their own pace: what was written last must still reach them.
+            await asyncio.sleep(HEARTBEAT_S)
+
+    async def _write(self, server: Server, nodes: Mapping[str, Node], message: Message) -> None:
+        """All values of a message, in the order of the model and with one timestamp."""
+        now = datetime.now(UTC)
+        for variable in PAYLOAD:
+            value = _data_value(variable, variable.value(message), now)
+            await server.write_attribute_value(nodes[variable.name].nodeid, value)
+
+    async def _beat(self, server: Server, nodes: Mapping[str, Node]) -> None:
+        """Count the heartbeat up, and look for acknowledgements, as long as the server's loop runs."""
+        from asyncua import ua
+
+        count = 0
+        while True:
+            count = (count + 1) % 2**32
+            value = ua.DataValue(ua.Variant(count, ua.VariantType.UInt32), SourceTimestamp=datetime.now(UTC))
+            await server.write_attribute_value(nodes["Heartbeat"].nodeid, value)
+            acknowledged = [await nodes[name].read_value() for name in ("AcknowledgedSequence", "AcknowledgedTarget")]
+            self._acknowledged = acknowledged[0], acknowledged[1]
+            await asyncio.sleep(HEARTBEAT_S)
+
+
+def _data_value(variable: Variable, value: Any, now: datetime) -> ua.DataValue:
+    from asyncua import ua
+
+    kind = ua.VariantType[variable.type]
+    variant = ua.Variant(value, kind, is_array=isinstance(value, list))
+    return ua.DataValue(variant, SourceTimestamp=now, ServerTimestamp=now)
+
+
+async def _make_server(url: str, security: OpcUaSecurity | None) -> Server:
+    from asyncua import Server, ua
+    from asyncua.crypto.truststore import TrustStore
+    from asyncua.crypto.validator import CertificateValidator, CertificateValidatorOptions
+
+    server = Server(user_manager=_Users(security.users if security else None))
+    await server.init()
+    server.set_endpoint(url)
+    server.set_server_name("stereo-ore")
+    await server.set_application_uri(APPLICATION_URI)
+    if security is None:
+        server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
+        server.set_identity_tokens([ua.AnonymousIdentityToken])
+        return server
+    server.set_security_policy([ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt])
+    token = ua.AnonymousIdentityToken if security.users is None else ua.UserNameIdentityToken
+    server.set_identity_tokens([token])
+    await server.load_certificate(security.certificate)
+    await server.load_private_key(security.private_key)
+    if security.trusted is not None:
+        store = TrustStore([security.trusted], [])
+        await store.load()
+        options = CertificateValidatorOptions.TRUSTED_VALIDATION | CertificateValidatorOptions.PEER_CLIENT
+        server.set_certificate_validator(CertificateValidator(options, store))
+    return server
+
+
+async def _add_nodes(server: Server) -> dict[str, Node]:
+    """Folders and variables by name."""
+    from asyncua import ua
+
+    namespace = await server.register_namespace(NAMESPACE)
+    root = await server.nodes.objects.add_object(ua.NodeId("StereoOre", namespace), f"{namespace}:StereoOre")
+    folders = {}
+    for name in ("Result", "Targets", "Acknowledgement"):
+        folders[name] = await root.add_object(ua.NodeId(f"StereoOre.{name}", namespace), f"{namespace}:{name}")
+    nodes = {}
+    empty = notice(0, "starting", "STARTING")
+    for variable in (*PAYLOAD, *CONTROL):
+        id = ua.NodeId(f"StereoOre.{variable.folder}.{variable.name}", namespace)
+        value = _data_value(variable, variable.value(empty), datetime.now(UTC)).Value
+        node = await folders[variable.folder].add_variable(id, f"{namespace}:{variable.name}", value)
+        await _describe(node, variable, namespace)
+        nodes[variable.name] = node
+    return nodes
+
+
+async def _describe(node: Node, variable: Variable, namespace: int) -> None:
+    """Description, frame and unit as properties, and write access where the arm has it."""
+    from asyncua import ua
+
+    text = ua.DataValue(ua.Variant(ua.LocalizedText(variable.text), ua.VariantType.LocalizedText))
+    await node.write_attribute(ua.AttributeIds.Description, text)
+    if variable.name in ("Position", "Direction"):
+        await node.add_property(namespace, "Frame", "arm")
+    if variable.unit:
+        code = METRE if variable.unit == "m" else -1
+        unit = ua.EUInformation(
+            NamespaceUri="http://www.opcfoundation.org/UA/units/un/cefact",
+            UnitId=code,
+            DisplayName=ua.LocalizedText(variable.unit),
+        )
+        await node.add_property(ua.NodeId(f"{node.nodeid.Identifier}.Unit", namespace), "0:EngineeringUnits", unit)
+    if variable.folder == "Acknowledgement":
+        await node.set_writable()
+
+
+class _Users:
+    """Who may connect: anybody without a list of users, else those on it with their password. Nobody is an admin."""
+
+    def __init__(self, passwords: Mapping[str, str] | None) -> None:
+        self._passwords = passwords
+
+    def get_user(
+        self, iserver: Any, username: str | None = None, password: str | None = None, certificate: Any = None
+    ) -> Any:
+        from asyncua.server.user_managers import User, UserRole
+
+        if self._passwords is None:
+            return User(role=UserRole.User)
+        expected = self._passwords.get(username or "")
+        if expected is None or not hmac.compare_digest(expected.encode(), (password or "").encode()):
+            log.warning("OPC UA: login refused")
+            return None
+        return User(role=UserRole.User, name=username)
