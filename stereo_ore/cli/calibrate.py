@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from stereo_ore.errors import CalibrationError, OutputError
+from stereo_ore.errors import CalibrationError, OutputError, SourceError
 
 if TYPE_CHECKING:
     from stereo_ore.calibration.board import BoardView
+    from stereo_ore.calibration.check import Known
     from stereo_ore.calibration.detect import Board
     from stereo_ore.types import StereoCalibration
 
@@ -116,9 +117,60 @@ def stereo(
         draw_coverage(result, picture)
 
 
+@group.command()
+def check(
+    source: Annotated[Path, typer.Argument(help="Recorded pairs of a still scene, in any known layout.")],
+    calib: Annotated[Path, typer.Option("--calib", help="Calibration to judge, in any known format.")],
+    frame: Annotated[int, typer.Option(min=0, help="Which pair, counted from 0.")] = 0,
+    known: Annotated[
+        list[str] | None, typer.Option(help="Pixel in the left image and its distance: U,V,METRES.")
+    ] = None,
+    images: Images = None,
+    unit: Unit = "m",
+    eyes: Eyes = None,
+    picture: Annotated[Path | None, typer.Option(help="PNG of the row differences to write.")] = None,
+) -> None:
+    """Judge a calibration by your own pair; ends with exit code 3 when it is wrong or can't be judged.
+
+    Example: `stereo-ore calibrate check recordings/today --calib calib/ours.yaml --known 640,360,2.41`
+    """
+    from stereo_ore.calibration import load
+    from stereo_ore.calibration.check import check_pair
+    from stereo_ore.calibration.check_report import draw, report
+    from stereo_ore.cli import EXIT_QUALITY
+    from stereo_ore.sources import open_source
+
+    points = [_known(text) for text in known or ()]
+    recording = open_source(source)
+    if frame >= len(recording.names):
+        raise SourceError(f"has {len(recording.names)} frames, no frame {frame}", file=source, key="--frame")
+    pair = recording.read(frame)
+    size = (pair.left.shape[1], pair.left.shape[0])
+    pair_of_eyes = None if eyes is None else _pair(eyes, ",", "--eyes")
+    result = check_pair(pair, load(calib, images, size, UNITS_M[unit], pair_of_eyes), points)
+    typer.echo(report(result))
+    if picture is not None:
+        draw(result, pair.left, picture)
+    if result.verdict in ("wrong", "unclear"):
+        raise typer.Exit(EXIT_QUALITY)
+
+
+def _known(text: str) -> Known:
+    from stereo_ore.calibration.check import Known
+
+    try:
+        u, v, distance = (float(part) for part in text.split(","))
+    except ValueError:
+        raise CalibrationError(f"{text!r} is not U,V,METRES", key="--known") from None
+    if not distance > 0:
+        raise CalibrationError(f"the distance must be positive, not {distance:g}", key="--known")
+    return Known(u, v, distance)
+
+
 def _views(source: Path, board: Board) -> tuple[list[BoardView], tuple[int, int]]:
     """The board in each pair of a recording, and the size of its images."""
     import cv2
+    import numpy as np
 
     from stereo_ore.calibration.board import BoardView, find_view
     from stereo_ore.errors import FrameError
@@ -139,7 +191,9 @@ def _views(source: Path, board: Board) -> tuple[list[BoardView], tuple[int, int]
             views.append(BoardView(name, reason=f"images of {width}×{height} px, the others have {size}"))
             continue
         size = width, height
-        left, right = (cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) for image in (pair.left, pair.right))
+        left, right = (
+            np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) for image in (pair.left, pair.right)
+        )
         views.append(find_view(name, left, right, board))
     if size is None:
         raise CalibrationError("holds no pair that can be read", file=source)
