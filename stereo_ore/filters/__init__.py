@@ -25,7 +25,7 @@ from stereo_ore.errors import ConfigError
 from stereo_ore.filters.adaptive import adaptive
 from stereo_ore.filters.baselines import lof, none, radius, statistical
 from stereo_ore.filters.paper import paper
-from stereo_ore.types import F32, FilterResult, VoxelCloud
+from stereo_ore.types import F32, FilterResult, Mask, VoxelCloud
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def apply(voxels: VoxelCloud, config: FilterConfig) -> FilterResult:
         says about its decision.
     """
     params = parameters(config)
-    finite = np.isfinite(voxels.xyz).all(1)
+    finite: Mask = np.isfinite(voxels.xyz).all(axis=1)
     order, first, group = _distinct(voxels.xyz, finite)
     keep, score = np.zeros(len(voxels), bool), np.full(len(voxels), np.inf, np.float32)
     if len(first) < 2:
@@ -95,7 +95,7 @@ def apply(voxels: VoxelCloud, config: FilterConfig) -> FilterResult:
     return FilterResult(keep, score, counts | {"kept": int(keep.sum())} | settings | dict(result.diagnostics))
 
 
-def _distinct(xyz: F32, finite: npt.NDArray[np.bool_]) -> tuple[npt.NDArray[np.int64], ...]:
+def _distinct(xyz: F32, finite: Mask) -> tuple[npt.NDArray[np.int64], ...]:
     """Finite rows in a spatially coherent order, the first row of each place, and the place of each ordered row."""
     rows = np.flatnonzero(finite)
     p = xyz[rows]

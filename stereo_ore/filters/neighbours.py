@@ -24,7 +24,7 @@ class Neighbours:
     @property
     def k(self) -> int:
         """Neighbours a point."""
-        return self.index.shape[1]
+        return int(self.index.shape[1])
 
 
 def search(xyz: F32, k: int) -> Neighbours:
@@ -43,9 +43,8 @@ def search(xyz: F32, k: int) -> Neighbours:
     index = np.empty((len(points), k), np.int32)
     distance = np.empty((len(points), k), np.float32)
     for rows in chunks(len(points)):
-        d, i = tree.query(points[rows], k + 1, workers=-1)
-        # Points are distinct, so the nearest is the point itself.
-        index[rows], distance[rows] = i[:, 1:], d[:, 1:]
+        # Points are distinct, so the nearest is the point itself: ranks 2 to k + 1 are its neighbours.
+        distance[rows], index[rows] = tree.query(points[rows], range(2, k + 2), workers=-1)
     return Neighbours(index, distance)
 
 

@@ -17,7 +17,7 @@ from stereo_ore.types import F32, I32, FilterResult, Mask, VoxelCloud
 
 @dataclass(frozen=True)
 class PaperQuantities:
-    """Everything the equations define, a value a point: ρ [1/m], noise cluster, its mean density μ_ρ [1/m], K_i, LOF."""
+    """What the equations define for each point: ρ [1/m], noise cluster, its mean density μ_ρ [1/m], K_i, LOF."""
 
     rho: F32
     in_noise_cluster: Mask
@@ -111,8 +111,8 @@ def reference_k(neighbours: Neighbours, grid: tuple[int, ...]) -> int:
 
 def _density_at(neighbours: Neighbours, k: I32) -> F32:
     total = np.cumsum(neighbours.distance, axis=1)
-    rho: F32 = k / np.maximum(np.take_along_axis(total, k[:, None] - 1, 1)[:, 0], np.finfo(np.float32).tiny)
-    return rho.astype(np.float32)
+    rho = k / np.maximum(np.take_along_axis(total, k[:, None] - 1, 1)[:, 0], np.finfo(np.float32).tiny)
+    return np.asarray(rho, np.float32)
 
 
 def _mean_of_first(values: F32, neighbours: Neighbours, k: I32) -> F32:
