@@ -62,12 +62,13 @@ def parse_rows(file: IO[bytes], dtype: np.dtype[np.void], count: int, path: Path
     if count == 0:
         return np.empty(0, dtype)
     values = _numbers((line.decode("ascii", "replace") for line in islice(file, count)), None, path)
-    if values.shape != (count, len(dtype.names or ())):
+    names = dtype.names or ()
+    if values.shape != (count, len(names)):
+        rows, columns = values.shape
         raise CloudError(
-            f"has {values.shape[0]:,} rows of {values.shape[1]} numbers; the header says {count:,} of {len(dtype.names or ())}",
-            file=path,
+            f"has {rows:,} rows of {columns} numbers; the header says {count:,} of {len(names)}", file=path
         )
-    return from_columns({name: values[:, i].astype(dtype[name]) for i, name in enumerate(dtype.names or ())})
+    return from_columns({name: values[:, i].astype(dtype[name]) for i, name in enumerate(names)})
 
 
 def write(path: Path, records: Records) -> None:

@@ -81,7 +81,7 @@ def apply(voxels: VoxelCloud, config: FilterConfig) -> FilterResult:
         says about its decision.
     """
     params = parameters(config)
-    finite: Mask = np.isfinite(voxels.xyz).all(axis=1)
+    finite = np.asarray(np.isfinite(voxels.xyz).all(axis=1))
     order, first, group = _distinct(voxels.xyz, finite)
     keep, score = np.zeros(len(voxels), bool), np.full(len(voxels), np.inf, np.float32)
     if len(first) < 2:

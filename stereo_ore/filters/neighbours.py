@@ -43,8 +43,9 @@ def search(xyz: F32, k: int) -> Neighbours:
     index = np.empty((len(points), k), np.int32)
     distance = np.empty((len(points), k), np.float32)
     for rows in chunks(len(points)):
-        # Points are distinct, so the nearest is the point itself: ranks 2 to k + 1 are its neighbours.
-        distance[rows], index[rows] = tree.query(points[rows], range(2, k + 2), workers=-1)
+        d, i = tree.query(points[rows], k + 1, workers=-1)
+        # Points are distinct, so the nearest is the point itself.
+        distance[rows], index[rows] = np.asarray(d)[:, 1:], np.asarray(i)[:, 1:]
     return Neighbours(index, distance)
 
 
