@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stereo_ore.synth.model import ORES, Model, Part
-from stereo_ore.synth.textures import Texture, make_texture, sample
+from stereo_ore.synth.textures import Texture, dot, make_texture, sample
 from stereo_ore.types import F32
 
 VEIN_RGB = np.array([0.62, 0.60, 0.55], np.float32)
@@ -68,8 +68,8 @@ def surface(materials: dict[str, Material], part: Part, xyz: F32, normals: F32) 
     if material.vein:
         mix = np.clip(abs(material.vein) * vein, 0, 1)[:, None]
         rgb = rgb * (1 - mix) + mix * (VEIN_RGB if material.vein > 0 else 0.1 * VEIN_RGB)
-    bent = n - (slope - (slope * n).sum(1, keepdims=True) * n)
-    bent /= np.linalg.norm(bent, axis=1, keepdims=True)
+    bent = n - (slope - dot(slope, n) * n)
+    bent /= np.sqrt(dot(bent, bent))
     return rgb, bent @ R.T, gloss, material.shininess
 
 

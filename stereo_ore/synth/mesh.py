@@ -102,8 +102,8 @@ def volume_and_centre(mesh: Mesh) -> tuple[float, F64]:
 def callipers(mesh: Mesh) -> tuple[F64, float, float]:
     """Sorted sides of the smallest box around a mesh, and its longest and shortest calliper [m].
 
-    The box and the shortest calliper are sought over the normals of the convex hull, one a cell of 6°, the box's other
-    two directions in steps of 2°: within about half a percent of the exact values.
+    The box and the shortest calliper are sought over the normals of the convex hull, one a cell of 7°, the box's other
+    two directions in steps of 3°: within about half a percent of the exact values.
     """
     from scipy.spatial import ConvexHull
 
@@ -111,7 +111,7 @@ def callipers(mesh: Mesh) -> tuple[F64, float, float]:
     points = mesh.vertices[hull.vertices]
     longest = max(float(np.linalg.norm(points - p, axis=1).max()) for p in points)
     n = hull.equations[:, :3] * np.where(hull.equations[:, 2:3] < 0, -1, 1)
-    n = n[np.unique((n * 10).round().astype(int), axis=0, return_index=True)[1]]
+    n = n[np.unique((n * 8).round().astype(int), axis=0, return_index=True)[1]]
     u = np.cross(n, np.eye(3)[np.abs(n).argmin(1)])
     u /= np.linalg.norm(u, axis=1, keepdims=True)
     a, b = u @ points.T, np.cross(n, u) @ points.T
@@ -124,7 +124,7 @@ def callipers(mesh: Mesh) -> tuple[F64, float, float]:
 
 
 def _quarter_turn() -> F64:
-    angle = np.radians(np.arange(0, 90, 2))
+    angle = np.radians(np.arange(0, 90, 3))
     return np.stack([np.cos(angle), np.sin(angle)], 1)
 
 

@@ -94,7 +94,7 @@ def _lumps(spec: SceneSpec, steel: Mesh, rng: np.random.Generator) -> list[Lump]
         (half[0] + spec.screen.frame_width, half[1] + spec.screen.frame_width), 0.1 * spec.screen.bar_width
     )
     field.add(steel)
-    spread = tuple(half * (0.62 if spec.table else 0.5))
+    spread = (float(0.64 * half[0]), float(0.64 * half[1]))
     poses = pile(meshes, field, spread, rng, sink_m=-0.1 * spec.screen.opening)
     ores = rng.choice(kinds, spec.lumps, p=[0.65, 0.35])
     return [
@@ -130,7 +130,7 @@ def _surroundings(spec: SceneSpec, rng: np.random.Generator) -> list[tuple[Mesh,
     return [(merge([ground, *walls]), "earth"), (grizzly.pit(screen), "rust"), (rubble, "rubble")]
 
 
-def _sky_share(mesh: Mesh, caster: RayCaster, rng: np.random.Generator, reach: float, rays: int = 24) -> F32:
+def _sky_share(mesh: Mesh, caster: RayCaster, rng: np.random.Generator, reach: float, rays: int = 16) -> F32:
     """Cosine-weighted share of unblocked directions above each vertex, within `reach`."""
     normals = vertex_normals(mesh)
     directions = rng.normal(size=(rays, 3))

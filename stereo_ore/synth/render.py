@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import cv2
@@ -11,6 +13,7 @@ from stereo_ore.synth.materials import Material, surface
 from stereo_ore.synth.mesh import blocked, cast
 from stereo_ore.synth.model import Model
 from stereo_ore.synth.spec import Light, SceneSpec
+from stereo_ore.synth.textures import dot
 from stereo_ore.types import F32, F64, I32, CameraModel
 
 BAND = 60
@@ -58,15 +61,19 @@ def depth_and_instance(model: Model, eye: Eye) -> tuple[F32, I32]:
 def radiance(model: Model, materials: dict[str, Material], spec: SceneSpec, eye: Eye) -> F32:
     """Linear BGR image (H, W, 3): the mean over supersampling² rays a pixel."""
     width, height = eye.size
-    image = np.zeros((height, width, 3), np.float32)
     steps = (np.arange(spec.supersampling) + 0.5) / spec.supersampling - 0.5
     offsets = [(float(du), float(dv)) for dv in steps for du in steps]
-    for start in range(0, height, BAND):
+
+    def band(start: int) -> F32:
         rows = range(start, min(start + BAND, height))
+        total = np.zeros((len(rows) * width, 3), np.float32)
         for k, offset in enumerate(offsets):
-            rays = eye.rays(rows, offset=offset).reshape(-1, 6)
-            image[rows.start : rows.stop] += _shade(model, materials, spec, rays, k).reshape(len(rows), width, 3)
-    return image[..., ::-1] / len(offsets)
+            total += _shade(model, materials, spec, eye.rays(rows, offset=offset).reshape(-1, 6), k)
+        return total.reshape(len(rows), width, 3) / np.float32(len(offsets))
+
+    with ThreadPoolExecutor(min(2, os.cpu_count() or 1)) as pool:
+        bands = list(pool.map(band, range(0, height, BAND)))
+    return np.concatenate(bands)[..., ::-1]
 
 
 def _shade(model: Model, materials: dict[str, Material], spec: SceneSpec, rays: F32, k: int) -> F32:
@@ -77,15 +84,15 @@ def _shade(model: Model, materials: dict[str, Material], spec: SceneSpec, rays: 
     seen = np.flatnonzero(np.isfinite(hit["t_hit"]))
     t, triangle = hit["t_hit"][seen, None], hit["primitive_ids"][seen].astype(np.int64)
     xyz, view = rays[seen, :3] + t * rays[seen, 3:], -rays[seen, 3:]
-    view /= np.linalg.norm(view, axis=1, keepdims=True)
+    view /= np.sqrt(dot(view, view))
     normals = hit["primitive_normals"][seen]
-    normals *= np.where((normals * view).sum(1, keepdims=True) < 0, np.float32(-1), np.float32(1))
+    normals *= np.where(dot(normals, view) < 0, np.float32(-1), np.float32(1))
     open_sky = _interpolated(model.sky_share, model.triangles[triangle], hit["primitive_uvs"][seen])
     rgb, bent, gloss, shininess = _surfaces(model, materials, model.part_of[triangle], xyz, normals)
     upward = 0.6 + 0.4 * bent[:, 2]
     # A tenth of the light reaches every corner by way of other surfaces.
     light = (sky * ((0.08 + 0.92 * open_sky) * upward)[:, None]).astype(np.float32)
-    mirror = 2 * (bent * view).sum(1, keepdims=True) * bent - view
+    mirror = 2 * dot(bent, view) * bent - view
     shine = 0.25 * sky * (np.clip(mirror[:, 2], 0, 1) * open_sky)[:, None]
     for lamp in spec.lights:
         direct, glint = _lamp(model, lamp, spec, xyz, normals, bent, mirror, shininess, k)
@@ -129,16 +136,16 @@ def _lamp(
         angle = 2 * np.pi * (k + 0.5) / 4
         spot = np.array(lamp.position) + 0.7 * lamp.radius * np.array([np.cos(angle), np.sin(angle), 0])
         to = (spot @ R - xyz).astype(np.float32)
-        distance = np.linalg.norm(to, axis=1, keepdims=True)
+        distance = np.sqrt(dot(to, to))
         to /= distance
         reference = np.linalg.norm(lamp.position)
         far, strength = 100.0, lamp.strength * (reference / distance) ** 2
-    facing = (normals * to).sum(1) > 0
+    facing = dot(normals, to)[:, 0] > 0
     lit = np.zeros((len(xyz), 1), np.float32)
     at = np.flatnonzero(facing)
     query = np.concatenate([xyz[at] + 1e-3 * normals[at], to[at]], 1)
     lit[at, 0] = ~blocked(model.caster, query, far)
     colour = np.array(lamp.rgb, np.float32) * (lit * strength)
-    diffuse = colour * np.clip((bent * to).sum(1, keepdims=True), 0, None)
-    glint = colour * np.clip((mirror * to).sum(1, keepdims=True), 0, 1) ** shininess * (0.04 * shininess)
+    diffuse = colour * np.clip(dot(bent, to), 0, None)
+    glint = colour * np.clip(dot(mirror, to), 0, 1) ** shininess * (0.04 * shininess)
     return diffuse.astype(np.float32), glint.astype(np.float32)

@@ -24,7 +24,7 @@ def rock(rng: np.random.Generator, shape: str, longest_m: float, subdivisions: i
     """
     sphere = icosphere(subdivisions)
     d = sphere.vertices
-    count, sharpness = int(rng.integers(14, 26)), rng.uniform(14, 40)
+    count, sharpness = int(rng.integers(10, 22)), rng.uniform(22, 70)
     normals = rng.normal(size=(count, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     normals = np.concatenate([normals, np.eye(3), -np.eye(3)])
@@ -39,7 +39,7 @@ def rock(rng: np.random.Generator, shape: str, longest_m: float, subdivisions: i
     return Mesh(vertices - volume_and_centre(mesh)[1], sphere.triangles)
 
 
-def roughness(rng: np.random.Generator, xyz: F64, amplitude: float = 0.07) -> F64:
+def roughness(rng: np.random.Generator, xyz: F64, amplitude: float = 0.055) -> F64:
     """Four octaves of lattice noise at (N, 3) points of a body of size 2."""
     from scipy.ndimage import map_coordinates
 

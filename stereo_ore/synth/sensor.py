@@ -8,7 +8,7 @@ import numpy as np
 from stereo_ore.synth.spec import SceneSpec
 from stereo_ore.types import F32, U8
 
-BLUR_PX = 0.45
+BLUR_PX = 0.55
 WHITE_PERCENTILE, WHITE_LEVEL = 98.0, 0.36
 
 

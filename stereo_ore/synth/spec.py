@@ -59,8 +59,8 @@ class SceneSpec:
     exposure: float = 1.0
     gain: tuple[float, float] = (1.0, 1.0)
     contrast: float = 1.0
-    full_well: float = 9000.0
-    read_noise: float = 4.0
+    full_well: float = 4000.0
+    read_noise: float = 6.0
     supersampling: int = 2
 
     def __post_init__(self) -> None:
@@ -106,7 +106,7 @@ def sample_spec(seed: int, family: str = "large", size: str = "HD720") -> SceneS
         return _harden(spec, rng)
     if family == "empty":
         return replace(spec, lumps=0)
-    return replace(spec, raw=family == "raw")
+    return replace(spec, raw=family == "raw", full_well=float(np.exp(rng.uniform(np.log(1500), np.log(6000)))))
 
 
 def _camera(rng: np.random.Generator) -> dict[str, float]:
@@ -177,7 +177,7 @@ def _harden(spec: SceneSpec, rng: np.random.Generator) -> SceneSpec:
     """Low light, wet rock or dust, in turn with the seed."""
     kind: Literal["dark", "wet", "dust"] = ("dark", "wet", "dust")[spec.seed % 3]
     if kind == "dark":
-        return replace(spec, full_well=rng.uniform(700, 1500), exposure=0.6)
+        return replace(spec, full_well=rng.uniform(300, 900), exposure=0.6)
     if kind == "dust":
         return replace(spec, haze_per_m=rng.uniform(0.12, 0.3))
     lamp = Light((0, 0, 1), 1.1, (1.0, 0.97, 0.92), (*rng.uniform(-3, 3, 2), 3.4), 0.5)

@@ -41,13 +41,20 @@ def make_texture(
 
 def spectral_noise(rng: np.random.Generator, slope: float, stretch: float = 1.0) -> F32:
     """Periodic Gaussian noise (SIDE, SIDE) of variance 1 whose amplitude falls as 1 / frequency^slope."""
+    from scipy import fft
+
     fy, fx = np.fft.fftfreq(SIDE)[:, None] * stretch, np.fft.rfftfreq(SIDE)[None]
-    frequency = np.hypot(fx, fy)
+    frequency = np.hypot(fx, fy).astype(np.float32)
     frequency[0, 0] = 1
-    spectrum = np.fft.rfft2(rng.standard_normal((SIDE, SIDE))) * frequency**-slope
+    spectrum = fft.rfft2(rng.standard_normal((SIDE, SIDE), dtype=np.float32)) * frequency ** np.float32(-slope)
     spectrum[0, 0] = 0
-    noise = np.fft.irfft2(spectrum, s=(SIDE, SIDE))
-    return (noise / noise.std()).astype(np.float32)
+    noise = fft.irfft2(spectrum, s=(SIDE, SIDE))
+    return np.asarray(noise / noise.std(), np.float32)
+
+
+def dot(a: F32, b: F32) -> F32:
+    """Scalar products of the rows of (N, 3) arrays, as a column (N, 1)."""
+    return np.asarray(np.einsum("ij,ij->i", a, b)[:, None])
 
 
 def sample(texture: Texture, xyz: F32, normals: F32) -> tuple[F32, F32, F32]:
@@ -57,7 +64,7 @@ def sample(texture: Texture, xyz: F32, normals: F32) -> tuple[F32, F32, F32]:
     """
     weight = normals**2
     weight = weight * weight
-    weight /= np.maximum(weight.sum(1, keepdims=True), 1e-9)
+    weight /= np.maximum(weight @ np.ones((3, 1), np.float32), np.float32(1e-9))
     total, slope = np.zeros((len(xyz), 2), np.float32), np.zeros_like(xyz)
     for axis in range(3):
         u, v = [(1, 2), (0, 2), (0, 1)][axis]
