@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import lru_cache
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -85,8 +86,14 @@ def _work(index: int) -> FrameLines:
 
 
 def sha256(path: Path) -> str | None:
-    """SHA-256 of a file; None when it can't be read."""
+    """SHA-256 of a file; None when it can't be read. A video or bag that holds many frames is read once."""
     try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
+        return _sha256(path, path.stat().st_mtime_ns)
     except OSError:
         return None
+
+
+@lru_cache(maxsize=64)
+def _sha256(path: Path, _mtime_ns: int) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

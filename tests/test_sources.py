@@ -79,14 +79,21 @@ def test_layouts_of_pairs(layout: str, tmp_path: Path) -> None:
     assert len(source.files(1)) == 2
 
 
-def test_folder_that_holds_left_and_right_is_one_frame_named_like_the_folder(tmp_path: Path) -> None:
+def test_folder_that_holds_left_and_right_is_one_frame_named_like_the_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder = write_pairs(tmp_path / "pile 7", lambda eye, _: f"{eye}.png", range(1))
     assert_frames(open_source(folder), ("pile_7",))
+    monkeypatch.chdir(folder)
+    assert_frames(open_source(Path(".")), ("pile_7",))
 
 
 def test_two_files(tmp_path: Path) -> None:
     write_pairs(tmp_path, lambda eye, n: f"{eye}{n}.png", range(1))
     assert_frames(open_two_files(tmp_path / "left0.png", tmp_path / "right0.png"), ("0",))
+    write_pairs(tmp_path / "pile", lambda eye, _: f"{eye}.png", range(1))
+    assert open_two_files(tmp_path / "pile" / "left.png", tmp_path / "pile" / "right.png").names == ("pile",)
+    assert open_two_files(save(tmp_path / "a.png", both(0)), tmp_path / "right0.png").names == ("a",)
     with pytest.raises(SourceError, match=r"nothing\.png: no such file"):
         open_two_files(tmp_path / "left0.png", tmp_path / "nothing.png")
 
@@ -270,6 +277,13 @@ def test_eyes_of_different_size(tmp_path: Path) -> None:
     with pytest.raises(FrameError, match=r"left\.png: is 32×20 but right\.png is 34×20") as caught:
         open_source(tmp_path).read(0)
     assert caught.value.code == "SIZE_MISMATCH"
+
+
+def test_eyes_of_different_depth(tmp_path: Path) -> None:
+    save(tmp_path / "left.png", picture(0, "left"))
+    save(tmp_path / "right.png", picture(0, "right").astype(np.uint16) * 257)
+    with pytest.raises(FrameError, match=r"left\.png: has uint8 pixels but right\.png has uint16"):
+        open_source(tmp_path).read(0)
 
 
 def test_odd_width_side_by_side(tmp_path: Path) -> None:

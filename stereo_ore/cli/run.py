@@ -17,7 +17,7 @@ from stereo_ore.errors import FrameError, SourceError
 if TYPE_CHECKING:
     from stereo_ore.pipeline import Context
     from stereo_ore.sources import Source
-    from stereo_ore.types import Site
+    from stereo_ore.types import Site, StereoCalibration
 
 log = logging.getLogger(__name__)
 
@@ -32,13 +32,18 @@ def register(app: typer.Typer) -> None:
 
 def run(
     source: Annotated[Path | None, typer.Argument(help="Recording: folder or file in any known layout.")] = None,
-    calib: Annotated[Path, typer.Option("--calib", help="Calibration of the camera.")] = ...,  # type: ignore[assignment]
+    calib: Annotated[
+        Path | None, typer.Option("--calib", help="Calibration of the camera; a bag may carry its own.")
+    ] = None,
     out: Annotated[Path, typer.Option("--out", help="Folder for the results.")] = ...,  # type: ignore[assignment]
     site: Annotated[Path | None, typer.Option(help="Site: arm, working volume, grizzly.")] = None,
     config: Annotated[Path | None, typer.Option(help="Parameters that differ from the defaults.")] = None,
     settings: Annotated[list[str] | None, typer.Option("--set", help="One parameter: key.sub=value.")] = None,
     left: Annotated[Path | None, typer.Option(help="Left image, instead of SOURCE.")] = None,
     right: Annotated[Path | None, typer.Option(help="Right image, instead of SOURCE.")] = None,
+    left_topic: Annotated[str | None, typer.Option(help="Left image topic of a bag.")] = None,
+    right_topic: Annotated[str | None, typer.Option(help="Right image topic of a bag.")] = None,
+    max_skew_ms: Annotated[float, typer.Option(min=0, help="Largest difference of stamps in a bag's pair.")] = 5.0,
     save_stages: Annotated[bool, typer.Option("--save-stages", help="Also write stages/<frame>.npz.")] = False,
     start: Annotated[int, typer.Option(min=0, help="First frame, counted from 0.")] = 0,
     stop: Annotated[int | None, typer.Option(min=0, help="Frame to stop before.")] = None,
@@ -53,15 +58,14 @@ def run(
     Example: `stereo-ore run recording --calib calib/zed2_hd720.yaml --site site.yaml --out out`
     """
     from stereo_ore import batch, pipeline
-    from stereo_ore.calibration import load
     from stereo_ore.config import load_config
     from stereo_ore.sinks.frame_files import FrameFiles
     from stereo_ore.sinks.run_folder import RunFolder
     from stereo_ore.site import load_site
     from stereo_ore.types import Site
 
-    recording = _open(source, left, right)
-    calibration = load(calib, image_size=_frame_size(recording))
+    recording = _open(source, left, right, (left_topic, right_topic), max_skew_ms)
+    calibration = _calibration(recording, calib)
     place = load_site(site) if site else Site()
     context = pipeline.make_context(calibration, place, load_config(config, settings or ()))
     indices = range(len(recording.names))[start:stop:every]
@@ -71,7 +75,7 @@ def run(
     job = batch.Job(recording, context, FrameFiles(out, save_stages), strict)
     description = _description(recording, indices, context, {"calib": calib, "site": site, "config": config})
     with RunFolder(out, description, resume=resume, overwrite=overwrite) as folder:
-        _write_inputs(out, context, calib, site)
+        _write_inputs(out, context, site)
         todo = indices[folder.done :]
         with _progress(len(indices), folder.done) as advance:
             for lines in batch.run(job, todo, workers):
@@ -81,14 +85,37 @@ def run(
     _summarise(out)
 
 
-def _open(source: Path | None, left: Path | None, right: Path | None) -> Source:
-    from stereo_ore.sources import open_source, open_two_files
+def _open(
+    source: Path | None,
+    left: Path | None,
+    right: Path | None,
+    topics: tuple[str | None, str | None],
+    max_skew_ms: float,
+) -> Source:
+    from stereo_ore.sources import BagOptions, open_source, open_two_files
 
     if left and right and source is None:
         return open_two_files(left, right)
     if source is None or left or right:
         raise typer.BadParameter("give either SOURCE or both --left and --right")
-    return open_source(source)
+    match topics:
+        case (None, None):
+            return open_source(source, BagOptions(None, max_skew_ms))
+        case (str(left_topic), str(right_topic)):
+            return open_source(source, BagOptions((left_topic, right_topic), max_skew_ms))
+    raise typer.BadParameter("give both --left-topic and --right-topic, or neither")
+
+
+def _calibration(recording: Source, calib: Path | None) -> StereoCalibration:
+    """The calibration given or, without one, that of the recording."""
+    from stereo_ore.calibration import load
+
+    if calib:
+        return load(calib, image_size=_frame_size(recording))
+    if recording.calibration is None:
+        raise SourceError("carries no calibration", file=recording.path, remedy="Give one with --calib")
+    log.info("calibration: camera_info of the recording")
+    return recording.calibration
 
 
 def _frame_size(recording: Source) -> tuple[int, int] | None:
@@ -119,6 +146,7 @@ def _description(recording: Source, indices: range, context: Context, files: dic
         "schema": "stereo_ore/run/1",
         "versions": versions(),
         "source": str(recording.path),
+        "recording": dict(recording.description),
         "frames": [indices.start, indices.stop, indices.step],
         "parameters": context.config.model_dump(mode="json"),
         "files": {key: {"path": str(path), "sha256": sha256(path)} for key, path in files.items() if path},
@@ -130,7 +158,7 @@ def _description(recording: Source, indices: range, context: Context, files: dic
     }
 
 
-def _write_inputs(out: Path, context: Context, calib: Path, site: Path | None) -> None:
+def _write_inputs(out: Path, context: Context, site: Path | None) -> None:
     from stereo_ore.calibration import dump
     from stereo_ore.config import dump_config
     from stereo_ore.sinks.atomic import write_bytes, write_text

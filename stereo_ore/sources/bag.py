@@ -12,7 +12,7 @@ import numpy as np
 
 from stereo_ore.errors import FrameError, MissingExtraError, SourceError, StereoOreError
 from stereo_ore.sources import ros_messages
-from stereo_ore.sources.images import check_same_size, to_8_bit
+from stereo_ore.sources.images import check_alike, to_8_bit
 from stereo_ore.sources.names import frame_names, stamp_name
 from stereo_ore.sources.pairing import Pair, pair_by_stamp
 from stereo_ore.sources.topics import camera_info_topic, choose_topics, is_rectified
@@ -133,7 +133,7 @@ class BagPairs:
         except Exception as fault:  # rosbags and its storages raise what they like on damaged files
             raise FrameError(f"can't be read here: {fault}", code="UNREADABLE_IMAGE", file=self.path) from None
         images = ros_messages.image(messages[0], self.path), ros_messages.image(messages[1], self.path)
-        check_same_size(*images, f"{self.path}: {self.topics[0]}", self.topics[1])
+        check_alike(*images, f"{self.path}: {self.topics[0]}", self.topics[1])
         return StereoPair(self.names[index], index, *to_8_bit(*images), stamp_ns=left.stamp_ns)
 
 

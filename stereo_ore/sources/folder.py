@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from stereo_ore.errors import FrameError, SourceError
-from stereo_ore.sources.images import check_same_size, is_image, read_image, to_8_bit
+from stereo_ore.sources.images import check_alike, is_image, read_image, to_8_bit
 from stereo_ore.sources.names import frame_names, name_stamp, natural_key, split_name
 from stereo_ore.sources.side_by_side import SideBySideImages
 from stereo_ore.types import StereoCalibration, StereoPair
@@ -47,7 +47,7 @@ class ImagePairs:
                 remedy="Frames are paired by name, never by position",
             )
         images = read_image(left), read_image(right)
-        check_same_size(*images, left, right.name)
+        check_alike(*images, left, right.name)
         return StereoPair(self.names[index], index, *to_8_bit(*images), stamp_ns=name_stamp(self.names[index]))
 
 
@@ -56,7 +56,9 @@ def open_two_files(left: Path, right: Path) -> ImagePairs:
     for file in (left, right):
         if not file.is_file():
             raise SourceError("no such file", file=file, remedy="Check the path")
-    return ImagePairs(left.parent, frame_names([split_name(left.stem)[1] or left.stem]), ((left, right),))
+    side, key = split_name(left.stem)
+    name = key or left.resolve().parent.name if side else left.stem
+    return ImagePairs(left.parent, frame_names([name]), ((left, right),))
 
 
 def open_folder(path: Path) -> ImagePairs | SideBySideImages:
@@ -72,7 +74,7 @@ def open_folder(path: Path) -> ImagePairs | SideBySideImages:
         return _paired(path, _by_stem(subfolders["left"]), _by_stem(subfolders["right"]))
     images = sorted(filter(is_image, path.iterdir()), key=lambda file: natural_key(file.stem))
     if _marked(images):
-        return _paired(path, *_by_mark(images, path.name))
+        return _paired(path, *_by_mark(images, path.resolve().name))
     frames = [(child, sorted(filter(is_image, child.iterdir()))) for child in subfolders.values()]
     if any(_marked(files) for _, files in frames):
         return _paired(path, *_by_folder(frames))

@@ -114,13 +114,16 @@ def as_bgr(image: Image, path: Path) -> Image:
     raise FrameError(f"has {channels} channels; 1 to 4 are read", code="UNREADABLE_IMAGE", file=path)
 
 
-def check_same_size(left: Image, right: Image, left_name: str | Path, right_name: str) -> None:
-    """FrameError when the two eyes differ in size."""
+def check_alike(left: Image, right: Image, left_name: str | Path, right_name: str) -> None:
+    """FrameError when the two eyes differ in size or depth."""
     if left.shape != right.shape:
         (h0, w0), (h1, w1) = left.shape[:2], right.shape[:2]
         raise FrameError(
             f"is {w0}×{h0} but {right_name} is {w1}×{h1}", code="SIZE_MISMATCH", file=left_name, remedy="Record again"
         )
+    if left.dtype != right.dtype:
+        problem = f"has {left.dtype} pixels but {right_name} has {right.dtype}"
+        raise FrameError(problem, code="SIZE_MISMATCH", file=left_name, remedy="Record again")
 
 
 def split_in_two(image: Image, path: Path) -> tuple[Image, Image]:
