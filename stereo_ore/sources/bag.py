@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -55,6 +56,7 @@ class Reader:
         """The open bag."""
         if self._bag is None:
             self._bag = _open(self.path)
+            weakref.finalize(self, self._bag.close)
         return self._bag
 
     def topics(self, *types: str) -> set[str]:
