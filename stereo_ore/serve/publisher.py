@@ -11,9 +11,7 @@ from types import TracebackType
 from typing import Self
 
 from stereo_ore.sinks.base import SinkState, TargetSink
-from stereo_ore.sinks.message import Json, Message, message, notice
-
-FIRST_SEQUENCE = 1
+from stereo_ore.sinks.message import Json, Message, Origin, message, notice
 
 
 class Publisher:
@@ -25,24 +23,16 @@ class Publisher:
         Entered with the publisher, left with it after a last message without targets.
     valid_for_s : float
         How long a frame's targets hold after it was taken [s].
-    transform_id : str, optional
-        Which arm-from-camera transform the positions were made with.
-    replay : bool
-        Marks every message as a recording played again.
+    origin : Origin
+        What all messages share; a session is put in.
     """
 
-    def __init__(
-        self,
-        sinks: Sequence[TargetSink],
-        valid_for_s: float,
-        *,
-        transform_id: str | None = None,
-        replay: bool = False,
-    ) -> None:
+    def __init__(self, sinks: Sequence[TargetSink], valid_for_s: float, origin: Origin = Origin()) -> None:  # noqa: B008
         self.valid_for_s = valid_for_s
-        self._sinks, self._transform_id, self._replay = sinks, transform_id, replay
-        self._sequence = FIRST_SEQUENCE
-        self._latest = notice(0, "starting", "STARTING", replay=replay)
+        self._sinks = sinks
+        self._origin = replace(origin, session=f"{time.time_ns():x}")
+        self._sequence = 1
+        self._latest = notice(0, self._origin, "starting")
         self._changed = threading.Condition()
         self._closed = False
         self._stack = ExitStack()
@@ -61,7 +51,7 @@ class Publisher:
     ) -> None:
         with self._changed:
             self._closed = True
-            self._send(notice(self._sequence, "stopped", "STOPPED", replay=self._replay))
+            self._send(notice(self._sequence, self._origin, "stopped"))
             self._changed.notify()
         self._timer.join()
         self._stack.close()
@@ -69,14 +59,7 @@ class Publisher:
     def publish(self, record: Json, age_s: float) -> Message:
         """Publish the targets of a record whose frame was taken `age_s` seconds ago."""
         with self._changed:
-            made = message(
-                record,
-                self._sequence,
-                age_s=age_s,
-                valid_for_s=self.valid_for_s,
-                transform_id=self._transform_id,
-                replay=self._replay,
-            )
+            made = message(record, self._sequence, self._origin, age_s=age_s, valid_for_s=self.valid_for_s)
             self._send(made)
             self._changed.notify()
         return made

@@ -37,10 +37,24 @@ class Target:
 
 
 @dataclass(frozen=True)
+class Origin:
+    """What all messages of one program run share.
+
+    `session` changes with every start, when sequence numbers begin anew; `transform_id` tells with which
+    arm-from-camera transform positions were made; `replay` marks recorded frames that are published again.
+    """
+
+    session: str = ""
+    transform_id: str | None = None
+    replay: bool = False
+
+
+@dataclass(frozen=True)
 class Message:
     """The targets of one frame, or that there are none; `deadline` is on this process's monotonic clock [s]."""
 
     sequence: int
+    origin: Origin
     frame: str | None
     index: int | None
     stamp_ns: int | None
@@ -48,8 +62,6 @@ class Message:
     valid_until_ns: int
     status: str
     reasons: tuple[str, ...]
-    transform_id: str | None
-    replay: bool
     targets: tuple[Target, ...] = ()
     deadline: float = 0.0
 
@@ -68,25 +80,24 @@ class Message:
 
     def json(self) -> dict[str, Any]:
         """What goes over the wire; units and frame are in it."""
+        head = {"schema": SCHEMA, "sequence": self.sequence, "valid": self.valid, "units": "m", "coordinates": "arm"}
         fields = asdict(self)
         del fields["deadline"]
-        head = {"schema": SCHEMA, "sequence": self.sequence, "valid": self.valid, "units": "m", "coordinates": "arm"}
-        return head | fields
+        origin: dict[str, Any] = fields.pop("origin")
+        return head | origin | fields
 
     def line(self) -> str:
         """One line of JSON."""
         return json.dumps(self.json(), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
 
 
-def notice(sequence: int, status: str, reason: str, *, replay: bool = False) -> Message:
+def notice(sequence: int, origin: Origin, status: str) -> Message:
     """A message that belongs to no frame: the program starts, stops or is gone."""
     now = time.time_ns()
-    return Message(sequence, None, None, None, now, now, status, (reason,), None, replay)
+    return Message(sequence, origin, None, None, None, now, now, status, (status.upper(),))
 
 
-def message(
-    record: Json, sequence: int, *, age_s: float, valid_for_s: float, transform_id: str | None, replay: bool
-) -> Message:
+def message(record: Json, sequence: int, origin: Origin, *, age_s: float, valid_for_s: float) -> Message:
     """The message of a frame's record.
 
     Parameters
@@ -94,21 +105,20 @@ def message(
     record : mapping
         A record of ``frames.jsonl``.
     sequence : int
-        Number of the message.
+        Number of the message in its session.
+    origin : Origin
+        What messages of this run share.
     age_s : float
         Time since the frame was taken or arrived [s]. A negative age, from a clock that was set back, is as
         untrustworthy as a large one.
     valid_for_s : float
         How long the targets hold after that [s].
-    transform_id : str or None
-        Which arm-from-camera transform the positions were made with.
-    replay : bool
-        True when the frame is a recorded one, published again.
     """
     now, remaining_s = time.time_ns(), valid_for_s - abs(age_s)
     targets, reasons = _targets(record)
     whole = Message(
         sequence=sequence,
+        origin=origin,
         frame=record["frame"],
         index=record["index"],
         stamp_ns=record["stamp_ns"],
@@ -116,8 +126,6 @@ def message(
         valid_until_ns=now + max(0, int(1e9 * remaining_s)),
         status=record["status"],
         reasons=(*(reason["code"] for reason in record["reasons"]), *reasons),
-        transform_id=transform_id,
-        replay=replay,
         targets=targets,
         deadline=time.monotonic() + remaining_s,
     )

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from stereo_ore.errors import MissingExtraError, OutputError
 from stereo_ore.sinks.base import Outbox, SinkState
-from stereo_ore.sinks.message import Message, notice
+from stereo_ore.sinks.message import Message, Origin, notice
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client
@@ -49,7 +49,7 @@ class MqttSink:
         self._client = _client(login or MqttLogin())
         self._client.on_connect = self._on_connect
         self._client.on_disconnect = self._on_disconnect
-        self._client.will_set(topic, notice(0, "offline", "OFFLINE").line(), qos=1, retain=True)
+        self._client.will_set(topic, notice(0, Origin(), "offline").line(), qos=1, retain=True)
         self._outbox = Outbox()
         self._connected = threading.Event()
         self._stopping = threading.Event()

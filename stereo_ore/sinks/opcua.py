@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from stereo_ore.errors import MissingExtraError, OutputError
 from stereo_ore.sinks.base import Outbox, SinkState
-from stereo_ore.sinks.message import Message, notice
+from stereo_ore.sinks.message import Message, Origin, notice
 from stereo_ore.sinks.opcua_model import CONTROL, NAMESPACE, PAYLOAD, Variable
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ class OpcUaSink:
     async def _serve(self) -> None:
         server = await _make_server(self.url, self._security)
         nodes = await _add_nodes(server)
-        await self._write(server, nodes, notice(0, "starting", "STARTING"))
+        await self._write(server, nodes, notice(0, Origin(), "starting"))
         async with server:
             self._server = server
             self._ready.set()
@@ -186,7 +186,7 @@ async def _add_nodes(server: Server) -> dict[str, Node]:
     for name in ("Result", "Targets", "Acknowledgement"):
         folders[name] = await root.add_object(ua.NodeId(f"StereoOre.{name}", namespace), f"{namespace}:{name}")
     nodes = {}
-    empty = notice(0, "starting", "STARTING")
+    empty = notice(0, Origin(), "starting")
     for variable in (*PAYLOAD, *CONTROL):
         id = ua.NodeId(f"StereoOre.{variable.folder}.{variable.name}", namespace)
         value = _data_value(variable, variable.value(empty), datetime.now(UTC)).Value

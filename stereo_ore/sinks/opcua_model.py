@@ -78,8 +78,9 @@ PAYLOAD = (
     Variable("Result", "ValidUntil", "DateTime", "strike no later", lambda m: _time(m.valid_until_ns)),
     Variable("Result", "Status", "String", "ok, degraded, empty, failed, expired …", lambda m: m.status),
     Variable("Result", "Reasons", "String", "codes", lambda m: list(m.reasons)),
-    Variable("Result", "TransformId", "String", "the arm_from_camera in use", lambda m: m.transform_id or ""),
-    Variable("Result", "Replay", "Boolean", "true: a recording, not the camera", lambda m: m.replay),
+    Variable("Result", "Session", "String", "changes when Sequence begins anew", lambda m: m.origin.session),
+    Variable("Result", "TransformId", "String", "the arm_from_camera in use", lambda m: m.origin.transform_id or ""),
+    Variable("Result", "Replay", "Boolean", "true: a recording, not the camera", lambda m: m.origin.replay),
     Variable("Result", "Json", "String", "the whole message in one value", lambda m: m.line()),
     Variable("Result", "Sequence", "UInt32", "number of the message; last written", lambda m: m.sequence),
 )
