@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import re
-import sys
-import tempfile
-import threading
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from stereo_ore.errors import FrameError
+from stereo_ore.sources.quiet import overheard
 from stereo_ore.types import U8
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 MAX_PIXELS = 100_000_000
 _END_MARKS = {b"\x89PNG": b"IEND", b"\xff\xd8": b"\xff\xd9"}
 _DAMAGE = re.compile(rb"error|corrupt|premature|invalid", re.IGNORECASE)
-_stderr_lock = threading.Lock()
 
 
 def is_image(path: Path) -> bool:
@@ -54,7 +49,7 @@ def decode_image(data: bytes, path: Path) -> Image:
     if not data:
         raise FrameError("is empty", code="UNREADABLE_IMAGE", file=path, remedy="Record or copy it again")
     _check_complete(path, data)
-    image, complaints = _overheard(lambda: _decode(data))
+    image, complaints = overheard(lambda: _decode(data))
     if image is None or _DAMAGE.search(complaints):
         raise FrameError(
             "can't be decoded as an image", code="UNREADABLE_IMAGE", file=path, remedy="Record or copy it again"
@@ -83,24 +78,6 @@ def _decode(data: bytes) -> Image | None:
         return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:
         return None
-
-
-def _overheard(action: Callable[[], Image | None]) -> tuple[Image | None, bytes]:
-    """The result of `action` and what it wrote to the process's standard error, which stays silent.
-
-    libjpeg and libtiff have no other way to say that the picture they return is damaged.
-    """
-    with _stderr_lock, tempfile.TemporaryFile() as ear:
-        sys.stderr.flush()
-        kept = os.dup(2)
-        try:
-            os.dup2(ear.fileno(), 2)
-            result = action()
-        finally:
-            os.dup2(kept, 2)
-            os.close(kept)
-        ear.seek(0)
-        return result, ear.read()
 
 
 def as_bgr(image: Image, path: Path) -> Image:

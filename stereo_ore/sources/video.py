@@ -12,6 +12,7 @@ import numpy as np
 
 from stereo_ore.errors import FrameError, SourceError
 from stereo_ore.sources.images import Image, as_bgr, split_in_two, to_8_bit
+from stereo_ore.sources.quiet import overheard
 from stereo_ore.types import StereoCalibration, StereoPair
 
 VIDEO_SUFFIXES = (".avi", ".mkv", ".mov", ".mp4", ".m4v", ".mjpg", ".mjpeg", ".webm")
@@ -33,6 +34,13 @@ class Decoder:
 
     def picture(self, index: int) -> Image | None:
         """Picture `index` as stored; None when the video ends before it or is damaged there."""
+        return overheard(lambda: self._picture(index))[0]
+
+    def count(self) -> int:
+        """Number of pictures: what the container says or, when it is silent, what can be decoded."""
+        return overheard(self._count)[0]
+
+    def _picture(self, index: int) -> Image | None:
         if self._capture is None or index < self._next:
             self._reopen()
         assert self._capture is not None, "just opened"
@@ -44,8 +52,7 @@ class Decoder:
         self._next += 1
         return image if found else None
 
-    def count(self) -> int:
-        """Number of pictures: what the container says or, when it is silent, what can be decoded."""
+    def _count(self) -> int:
         self._reopen()
         assert self._capture is not None, "just opened"
         promised = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
