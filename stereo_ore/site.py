@@ -199,6 +199,28 @@ def save_site(site: Site, path: str | Path, hand_eye: HandEyeRecord | None = Non
     path.write_text(yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=120), encoding="utf-8")
 
 
+def save_arm(T_arm_camera: F64, hand_eye: HandEyeRecord, path: str | Path, base: str | Path | None = None) -> None:
+    """Write a site file with a new `arm_from_camera`; the rest is that of `base`, or unknown.
+
+    What `base` gives in the arm frame stays where it is in the arm frame.
+
+    Raises
+    ------
+    ConfigError
+        When `base` is no site file, or does not fit the new transform.
+    """
+    path = Path(path)
+    document = {"format": FORMAT, "version": 1}
+    if base is not None:
+        document = load_yaml(Path(base), ConfigError)
+        validate(_File, document, base, ConfigError)
+    document |= {"arm_from_camera": T_arm_camera.tolist(), "hand_eye": hand_eye.model_dump(mode="json")}
+    file = validate(_File, document, path, ConfigError)
+    if faults := _faults(file) or _view_faults(_site(file, path)):
+        raise ConfigError("; ".join(faults), file=base, remedy="Was the calibration made with this arm and camera?")
+    path.write_text(yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=120), encoding="utf-8")
+
+
 def _grizzly(site: Site) -> dict[str, Any]:
     sizes = {"opening_m": site.opening_m, "bar_width_m": site.bar_width_m}
     section: dict[str, Any] = {key: value for key, value in sizes.items() if value is not None}

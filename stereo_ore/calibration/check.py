@@ -26,8 +26,10 @@ NEGATIVE_SHARE = 0.02
 OFFSET_SHARE = 0.01
 """Known distances are trusted to this share."""
 
-_PATCH = 20
-_FEWEST_SCORE = 0.7
+_PATCH = 15
+_LEAST_SCORE = 0.7
+_LEAST_LEAD = 0.05
+"""How much better than any other place of the row the match of a patch must be; bars repeat."""
 
 
 @dataclass(frozen=True)
@@ -180,7 +182,9 @@ def _measure(known: Known, pair: RectifiedPair, calibration: StereoCalibration) 
     expected = float(rig.disparity(known.distance_m / np.linalg.norm(ray)))
     found = patch_disparity(_grey(pair.left), _grey(pair.right), at)
     if found is None:
-        problem = f"the surroundings of pixel {known.u:g}, {known.v:g} match nothing in the right image"
+        problem = (
+            f"the surroundings of pixel {known.u:g}, {known.v:g} match nothing, or several places, in the right image"
+        )
         raise CalibrationError(problem, key="--known", remedy="Take a point on a textured surface that both eyes see")
     disparity = found + rig.disparity_offset_px
     return Measured(known, disparity, expected, float(rig.depth(disparity) * np.linalg.norm(ray)))
@@ -201,7 +205,8 @@ def patch_disparity(left: U8, right: U8, at: F64, rows: int = 2) -> float | None
     band = right[v - _PATCH - rows : v + _PATCH + rows + 1]
     scores = np.asarray(cv2.matchTemplate(band, patch, cv2.TM_CCOEFF_NORMED), np.float64).max(0)
     best = int(np.argmax(scores))
-    if scores[best] < _FEWEST_SCORE or not 0 < best < len(scores) - 1:
+    others = np.delete(scores, range(max(best - 4, 0), min(best + 5, len(scores))))
+    if scores[best] < max(_LEAST_SCORE, others.max() + _LEAST_LEAD) or not 0 < best < len(scores) - 1:
         return None
     below, peak, above = scores[best - 1 : best + 2]
     curvature = below - 2 * peak + above

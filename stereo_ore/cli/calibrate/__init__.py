@@ -1,0 +1,18 @@
+"""``stereo-ore calibrate``: make and judge calibrations and sites."""
+
+from __future__ import annotations
+
+import typer
+
+from stereo_ore.cli.calibrate import files, judge, make
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verbs to the command line."""
+    group = typer.Typer(no_args_is_help=True, help="Make and judge the YAML files of camera and site.")
+    group.command("import")(files.import_)
+    group.command()(files.show)
+    group.command()(make.stereo)
+    group.command("hand-eye")(make.hand_eye)
+    group.command()(judge.check)
+    app.add_typer(group, name="calibrate")

@@ -1,0 +1,61 @@
+"""``calibrate import`` and ``show``: calibration files in and out."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from stereo_ore.cli.calibrate.options import CalibFile, Eyes, Images, Size, Unit, load_any, parse_size, write
+
+log = logging.getLogger(__name__)
+
+
+def import_(
+    file: CalibFile,
+    out: Annotated[Path, typer.Option("--out", help="Native YAML to write.")],
+    images: Images = None,
+    size: Size = None,
+    unit: Unit = "m",
+    eyes: Eyes = None,
+    to: Annotated[str | None, typer.Option("--to", help="Convert a ZED to this resolution.")] = None,
+    name: Annotated[str | None, typer.Option("--name", help="Free text for `camera`.")] = None,
+) -> None:
+    """Write any known calibration format as native YAML.
+
+    Example: `stereo-ore calibrate import SN12345678.conf --size HD720 --out calib/ours.yaml`
+    """
+    from dataclasses import replace
+
+    from stereo_ore.calibration.convert import convert_zed
+
+    calibration = load_any(file, images, size, unit, eyes)
+    if to is not None:
+        calibration = convert_zed(calibration, parse_size(to))
+    if name is not None:
+        calibration = replace(calibration, camera=name)
+    write(calibration, out)
+    typer.echo(out)
+
+
+def show(
+    file: CalibFile,
+    images: Images = None,
+    size: Size = None,
+    unit: Unit = "m",
+    eyes: Eyes = None,
+    picture: Annotated[Path | None, typer.Option(help="PNG to write.")] = None,
+) -> None:
+    """Print geometry, field of view and depth noise.
+
+    Example: `stereo-ore calibrate show calib/zed2_hd720.yaml --picture camera.png`
+    """
+    from stereo_ore.calibration.show import describe, draw
+
+    calibration = load_any(file, images, size, unit, eyes)
+    typer.echo(describe(calibration))
+    if picture is not None:
+        draw(calibration, picture)
+        log.info("wrote %s", picture)

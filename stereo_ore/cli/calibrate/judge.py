@@ -1,0 +1,62 @@
+"""``calibrate check``: is this calibration right for this recording?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from stereo_ore.cli.calibrate.options import UNITS_M, Eyes, Images, Unit, two_numbers
+from stereo_ore.errors import CalibrationError, SourceError
+
+if TYPE_CHECKING:
+    from stereo_ore.calibration.check import Known
+
+
+def check(
+    source: Annotated[Path, typer.Argument(help="Recorded pairs of a still scene, in any known layout.")],
+    calib: Annotated[Path, typer.Option("--calib", help="Calibration to judge, in any known format.")],
+    frame: Annotated[int, typer.Option(min=0, help="Which pair, counted from 0.")] = 0,
+    known: Annotated[
+        list[str] | None, typer.Option(help="Pixel in the left image and its distance: U,V,METRES.")
+    ] = None,
+    images: Images = None,
+    unit: Unit = "m",
+    eyes: Eyes = None,
+    picture: Annotated[Path | None, typer.Option(help="PNG of the row differences to write.")] = None,
+) -> None:
+    """Judge a calibration by your own pair; ends with exit code 3 when it is wrong or can't be judged.
+
+    Example: `stereo-ore calibrate check recordings/today --calib calib/ours.yaml --known 640,360,2.41`
+    """
+    from stereo_ore.calibration import load
+    from stereo_ore.calibration.check_report import draw, report
+    from stereo_ore.cli import EXIT_QUALITY
+    from stereo_ore.sources import open_source
+
+    points = [_known(text) for text in known or ()]
+    recording = open_source(source)
+    if frame >= len(recording.names):
+        raise SourceError(f"has {len(recording.names)} frames, no frame {frame}", file=source, key="--frame")
+    pair = recording.read(frame)
+    size = (pair.left.shape[1], pair.left.shape[0])
+    pair_of_eyes = None if eyes is None else two_numbers(eyes, ",", "--eyes")
+    result = checktwo_numbers(pair, load(calib, images, size, UNITS_M[unit], pair_of_eyes), points)
+    typer.echo(report(result))
+    if picture is not None:
+        draw(result, pair.left, picture)
+    if result.verdict in ("wrong", "unclear"):
+        raise typer.Exit(EXIT_QUALITY)
+
+
+def _known(text: str) -> Known:
+    from stereo_ore.calibration.check import Known
+
+    try:
+        u, v, distance = (float(part) for part in text.split(","))
+    except ValueError:
+        raise CalibrationError(f"{text!r} is not U,V,METRES", key="--known") from None
+    if not distance > 0:
+        raise CalibrationError(f"the distance must be positive, not {distance:g}", key="--known")
+    return Known(u, v, distance)
