@@ -84,14 +84,14 @@ def test_cut_off_video_fails_frame_by_frame_or_at_once(tmp_path: Path) -> None:
     path = tmp_path / "cut.avi"
     path.write_bytes(whole.read_bytes()[: int(0.6 * whole.stat().st_size)])
     source = open_source(path)
-    assert_frame(source, 10)
+    assert_frame(source, 5)
     if len(source.names) == COUNT:
         with pytest.raises(FrameError, match=r"cut\.avi: picture 24 of 25 can't be decoded") as caught:
             source.read(24)
         assert caught.value.code == "UNREADABLE_IMAGE"
     else:
-        assert 10 < len(source.names) < COUNT
-    assert_frame(source, 11)
+        assert 5 < len(source.names) < COUNT
+    assert_frame(source, 6)
 
 
 def test_a_video_that_vanishes_fails_the_frame(tmp_path: Path) -> None:
