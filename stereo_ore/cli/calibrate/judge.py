@@ -1,4 +1,4 @@
-"""``calibrate check``: is this calibration right for this recording?"""
+"""``calibrate check``: whether a calibration is right for a recording."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def check(
     pair = recording.read(frame)
     size = (pair.left.shape[1], pair.left.shape[0])
     pair_of_eyes = None if eyes is None else two_numbers(eyes, ",", "--eyes")
-    result = checktwo_numbers(pair, load(calib, images, size, UNITS_M[unit], pair_of_eyes), points)
+    result = check_pair(pair, load(calib, images, size, UNITS_M[unit], pair_of_eyes), points)
     typer.echo(report(result))
     if picture is not None:
         draw(result, pair.left, picture)

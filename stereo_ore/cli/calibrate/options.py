@@ -23,6 +23,7 @@ Eyes = Annotated[str | None, typer.Option(help="Left and right camera of a longe
 
 
 def load_any(file: Path, images: Images, size: str | None, unit: str, eyes: str | None) -> StereoCalibration:
+    """The calibration in a file of any format, with the options that say what the file does not."""
     from stereo_ore.calibration import load
 
     return load(
@@ -40,6 +41,7 @@ def parse_size(text: str) -> tuple[int, int]:
 
 
 def two_numbers(text: str, separator: str, option: str) -> tuple[int, int]:
+    """Two whole numbers with a separator between, the value of an option."""
     try:
         first, second = (int(part) for part in text.split(separator))
     except ValueError:
