@@ -31,6 +31,7 @@ def check(
     Example: `stereo-ore calibrate check recordings/today --calib calib/ours.yaml --known 640,360,2.41`
     """
     from stereo_ore.calibration import load
+    from stereo_ore.calibration.check import check_pair
     from stereo_ore.calibration.check_report import draw, report
     from stereo_ore.cli import EXIT_QUALITY
     from stereo_ore.sources import open_source
