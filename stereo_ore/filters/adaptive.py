@@ -1,33 +1,34 @@
-"""The default filter: adaptive-K density, residual to the local surface, and the matcher's doubts."""
+"""The default filter: density at several K, distance to the surface around, and the matcher's doubts."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from stereo_ore.config.filters import AdaptiveParams
-from stereo_ore.filters.neighbours import density, search
+from stereo_ore.filters.evidence import SURFACE_FEATURES, Evidence, features, gather, has_cues
+from stereo_ore.filters.scorer import Scorer, load
 from stereo_ore.types import F32, FilterResult, VoxelCloud
 
 
 def adaptive(voxels: VoxelCloud, params: AdaptiveParams) -> FilterResult:
-    """Remove points whose noise probability is above the threshold; the score is that probability."""
-    neighbours = search(voxels.xyz, params.k)
-    rho = density(neighbours.distance)
-    around = rho[neighbours.index]
-    ratio = around.mean(1) / rho
-    sparse = np.log(np.median(rho) / rho)
-    logit = 3 * (np.log(ratio) - 0.25) + 2 * (sparse - 0.3)
-    if voxels.cues:
-        logit = logit + _doubt(voxels)
-    score: F32 = (1 / (1 + np.exp(-np.clip(logit, -30, 30)))).astype(np.float32)
-    return FilterResult(score <= params.threshold, score)
+    """Remove points whose noise probability is above the threshold; the score is that probability.
+
+    Neighbours are found and densities computed once (`evidence.gather`). Then each pass fits planes to the neighbours,
+    weighted by how likely each is to be surface, asks how well the point lies on its own plane and on those of its
+    neighbours (`surface`), and scores it anew: what the pass before took for noise no longer bends the surface.
+    """
+    evidence = gather(voxels, params.k)
+    name = "stereo" if has_cues(voxels) else "geometry"
+    noise = run_passes(evidence, load(name))
+    threshold = params.threshold
+    return FilterResult(noise <= threshold, noise, {"scorer": name, "threshold": threshold})
 
 
-def _doubt(voxels: VoxelCloud) -> F32:
-    """First guess of the cues' weight: gaps around a pixel and disagreeing disparities speak for noise."""
-    cue = {name: np.nan_to_num(values, nan=0.0) for name, values in voxels.cues.items()}
-    zero = np.zeros(len(voxels), np.float32)
-    valid = cue.get("valid_share", zero + 1)
-    spread = np.minimum(cue.get("spread_px", zero), 4)
-    difference = np.minimum(cue.get("lr_diff_px", zero), 2)
-    return np.asarray(6 * (0.8 - valid) + spread + 2 * (difference - 0.3) - 1, np.float32)
+def run_passes(evidence: Evidence, scorer: Scorer) -> F32:
+    """Noise probability (M,) after all passes of a scorer."""
+    if tuple(scorer.features) != (*evidence.names, *SURFACE_FEATURES):
+        raise ValueError("the scorer was trained on other features than the evidence has")
+    noise = evidence.prior
+    for network in scorer.passes:
+        noise = network.probability(features(evidence, noise))
+    return np.asarray(noise, np.float32)

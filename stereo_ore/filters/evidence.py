@@ -1,0 +1,111 @@
+"""What is known of each point before anything is decided: density at several K, and the matcher's doubts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stereo_ore.filters.neighbours import Neighbours, map_rows, search
+from stereo_ore.filters.surface import LEAST, fit_planes, votes
+from stereo_ore.types import CUES, F32, I32, VoxelCloud
+
+DENSITY_FEATURES = (
+    "mean distance, K = 3", "mean distance, K = 8", "mean distance, all K", "neighbours' mean distance, mean",
+    "neighbours' mean distance, least", "neighbours' mean distance, deviation", "times chosen", "neighbours chosen",
+)  # fmt: skip
+CUE_FEATURES = (*CUES, "points", "voxel in pixels", "depth noise in voxels")
+SURFACE_FEATURES = (
+    "residual", "aside", "thickness", "width", "length", "weight", "residual over thickness", "near votes", "far votes",
+    "mean vote distance", "odds", "neighbours' odds",
+)  # fmt: skip
+
+DISPARITY_STRETCH = 0.3
+"""Image space [px]: one standard deviation of depth noise counts as this many pixels across."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Points in spacings (M, 3), neighbours (M, k), features (M, F) and a first noise probability (M,)."""
+
+    points: F32
+    index: I32
+    features: F32
+    names: tuple[str, ...]
+    prior: F32
+
+
+def has_cues(voxels: VoxelCloud) -> bool:
+    """True for a cloud that a matcher made and spoke about."""
+    return set(CUES) <= set(voxels.cues) and bool((voxels.sigma_z > 0).all() and (voxels.pixel_m > 0).all())
+
+
+def gather(voxels: VoxelCloud, k: int) -> Evidence:
+    """Search the neighbours and measure densities; for a stereo cloud in image space, with the cues.
+
+    With d_i(K) = 1/ρ = mean distance to the K nearest (equation 2) in units of s, the 20 % quantile of d(8) over the
+    cloud: log d(3), log d(8), log d(k); mean, least and deviation (equation 3) of log d(8) over the neighbours; how
+    often a point is chosen as a neighbour, and how often its neighbours are. Several K side by side let the scorer
+    choose K by the point's own situation, which is what equation 5 is for.
+
+    The first noise probability is 1 − min(1, (s/d(8))³).
+    """
+    stereo = has_cues(voxels)
+    space = image_space(voxels) if stereo else voxels.xyz
+    neighbours = search(space, k)
+    spacing, features = _density(neighbours)
+    names: tuple[str, ...] = DENSITY_FEATURES
+    if stereo:
+        features, names = np.column_stack([features, _cues(voxels)]), names + CUE_FEATURES
+    prior = 1 - np.minimum(1, np.exp(-3 * features[:, 1]))
+    centred = ((space - np.median(space, axis=0)) / spacing).astype(np.float32)
+    return Evidence(centred, neighbours.index, features, names, prior)
+
+
+def image_space(voxels: VoxelCloud) -> F32:
+    """(u, v, disparity) of each voxel, (M, 3) [px], disparity in units of its noise times `DISPARITY_STRETCH`.
+
+    u = x/z · f, v = y/z · f with f = z / pixel size; disparity over its standard deviation is z/σ_z. In these
+    coordinates noise has one size everywhere, where in metres it grows with z².
+    """
+    z = voxels.xyz[:, 2].astype(np.float64)
+    focal = np.median(z / voxels.pixel_m)
+    image = np.column_stack([voxels.xyz[:, :2] / z[:, None] * focal, DISPARITY_STRETCH * z / voxels.sigma_z])
+    return image.astype(np.float32)
+
+
+def _density(neighbours: Neighbours) -> tuple[float, F32]:
+    distance, index = neighbours.distance, neighbours.index
+    means = np.column_stack([distance[:, :n].mean(1) for n in (3, 8, neighbours.k)])
+    spacing = max(float(np.quantile(means[:, 1], 0.2)), float(np.finfo(np.float32).tiny))
+    own = np.log(means / np.float32(spacing) + np.float32(LEAST))
+    middle = np.ascontiguousarray(own[:, 1])
+    chosen = (np.bincount(index.ravel(), minlength=len(index)) / neighbours.k).astype(np.float32)
+
+    def around(rows: slice) -> F32:
+        d = middle[index[rows]]
+        return np.column_stack(
+            [d.mean(1), d.min(1), d.std(1), np.log(chosen[rows] + LEAST), chosen[index[rows]].mean(1)]
+        )
+
+    return spacing, np.column_stack([own, map_rows(around, len(index))]).astype(np.float32)
+
+
+def _cues(voxels: VoxelCloud) -> F32:
+    """Logarithms of the cues (the valid share as it is), of the points behind a voxel over those it has room for."""
+    floors = {"spread_px": 0.05, "lr_diff_px": 0.03, "texture": 0.3, "photometric": 0.03, "median_diff_px": 0.03}
+    columns = [voxels.cues["valid_share"]]
+    columns += [np.log(np.maximum(voxels.cues[name], 0) + floors[name]) for name in CUES[1:]]
+    room = (voxels.size_m / voxels.pixel_m) ** 2
+    columns += [np.log(voxels.count / room), np.log(room) / 2, np.log(voxels.sigma_z / voxels.size_m)]
+    return np.nan_to_num(np.column_stack(columns), nan=0.0, posinf=0.0, neginf=0.0).astype(np.float32)
+
+
+def features(evidence: Evidence, noise: F32) -> F32:
+    """All features (M, F + 12) of the pass that follows the noise probabilities `noise` (M,)."""
+    weight = 1 - noise
+    planes = fit_planes(evidence.points, evidence.index, weight)
+    support = votes(evidence.points, evidence.index, weight, planes)
+    odds = np.log((noise + np.float32(1e-3)) / (weight + np.float32(1e-3)))
+    around = map_rows(lambda rows: odds[evidence.index[rows]].mean(1), len(odds))
+    return np.column_stack([evidence.features, planes.shape, support, odds, around])

@@ -1,0 +1,130 @@
+"""The surface around each point: planes through weighted neighbours, and how well a point fits them.
+
+Lengths are in units of the cloud's spacing. Offsets of neighbours are taken from the point itself, so that large
+coordinates cost no precision.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stereo_ore.filters.neighbours import map_rows
+from stereo_ore.types import F32, F64, I32
+
+NEAR, FAR = 0.3, 0.8
+"""Distances from a plane [spacings] at which a neighbour's vote has fallen to half: strict and lenient."""
+
+LEAST = 0.02
+"""Added before a logarithm: a fiftieth of the spacing is as good as zero."""
+
+
+@dataclass(frozen=True)
+class Planes:
+    """A plane a point: unit normal (M, 3), height of the plane over the point along it (M,), and `shape` (M, 7).
+
+    The columns of `shape` are logarithms of: residual, distance of the neighbours' centre in the plane, the three
+    standard deviations of the neighbours (thickness first), total weight, residual over thickness.
+    """
+
+    normal: F32
+    height: F32
+    shape: F32
+
+
+def fit_planes(x: F32, index: I32, weight: F32) -> Planes:
+    """Total least-squares plane through each point's weighted neighbours.
+
+    With offsets q_j = x_j − x_i and weights w_j: centre c = Σ w q / Σ w, covariance C = Σ w q qᵀ / Σ w − c cᵀ, normal n
+    = the eigenvector of C's smallest eigenvalue λ_0, residual |n·c|, thickness sqrt(λ_0).
+
+    Parameters
+    ----------
+    x : (M, 3) array
+        Points [spacings].
+    index : (M, k) array
+        Neighbours.
+    weight : (M,) array
+        How much each point is trusted as a piece of surface, 0…1.
+    """
+    packed = map_rows(lambda rows: _fit_rows(x, index[rows], x[rows], weight), len(x))
+    return Planes(packed[:, :3], packed[:, 3], packed[:, 4:])
+
+
+def _fit_rows(x: F32, index: I32, own: F32, weight: F32) -> F32:
+    w = weight[index]
+    q = [x[:, axis][index] - own[:, axis, None] for axis in range(3)]
+    total = w.sum(1) + np.float32(1e-3)
+    wq = [w * component for component in q]
+    centre = np.stack([component.sum(1) / total for component in wq], 1)
+    pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+    moments = [np.einsum("ij,ij->i", wq[a], q[b]) / total - centre[:, a] * centre[:, b] for a, b in pairs]
+    variances, normal = eigen(np.stack(moments, 1))
+    height = np.einsum("ij,ij->i", centre, normal)
+    residual = np.abs(height)
+    aside = np.sqrt(np.maximum(np.einsum("ij,ij->i", centre, centre) - height**2, 0))
+    deviations = np.sqrt(variances)
+    lengths = np.log(np.column_stack([residual, aside, deviations]) + LEAST)
+    fit = np.column_stack([np.log(total), np.log(residual / (deviations[:, 0] + 0.05) + LEAST)])
+    return np.column_stack([normal, height, lengths, fit]).astype(np.float32)
+
+
+def eigen(moments: F32) -> tuple[F64, F64]:
+    """Eigenvalues (M, 3), ascending, and the unit eigenvector (M, 3) of the smallest, of symmetric 3×3 matrices.
+
+    Parameters
+    ----------
+    moments : (M, 6) array
+        Entries xx, yy, zz, xy, xz, yz. The trigonometric solution (Smith 1961); the eigenvector is the longest cross
+        product of two rows of C − λ_0·1, and any direction where all vanish.
+    """
+    xx, yy, zz, xy, xz, yz = moments.astype(np.float64).T
+    mean = (xx + yy + zz) / 3
+    a, b, c = xx - mean, yy - mean, zz - mean
+    scale = np.sqrt((a * a + b * b + c * c + 2 * (xy * xy + xz * xz + yz * yz)) / 6) + 1e-30
+    determinant = a * (b * c - yz * yz) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)
+    angle = np.arccos(np.clip(determinant / (2 * scale**3), -1, 1)) / 3
+    largest = mean + 2 * scale * np.cos(angle)
+    smallest = mean + 2 * scale * np.cos(angle + 2 * np.pi / 3)
+    values = np.stack([smallest, 3 * mean - largest - smallest, largest], 1)
+    return np.maximum(values, 0), _null_vector(xx - smallest, yy - smallest, zz - smallest, xy, xz, yz)
+
+
+def _null_vector(a: F64, b: F64, c: F64, d: F64, e: F64, f: F64) -> F64:
+    """Unit vector (M, 3) that singular matrices [[a, d, e], [d, b, f], [e, f, c]] map to zero."""
+    crosses = np.stack(
+        [
+            [d * f - e * b, e * d - a * f, a * b - d * d],
+            [d * c - e * f, e * e - a * c, a * f - d * e],
+            [b * c - f * f, f * e - d * c, d * f - b * e],
+        ]
+    )
+    lengths = np.sqrt((crosses**2).sum(1))
+    longest = lengths.argmax(0)
+    rows = np.arange(len(a))
+    length = lengths[longest, rows]
+    vector = crosses[longest, :, rows]
+    vector[length == 0] = (0, 0, 1)
+    return np.asarray(vector / np.where(length == 0, 1, length)[:, None])
+
+
+def votes(x: F32, index: I32, weight: F32, planes: Planes) -> F32:
+    """How well a point lies on the planes of its neighbours, (M, 3) logarithms.
+
+    With r_j = |n_j·(x_i − x_j) − h_j|: Σ w_j / (1 + (r_j/NEAR)²), the same with FAR, and Σ w_j r_j / Σ w_j.
+    On an edge the planes of its own side speak for a point, where one plane through both sides would not.
+    """
+    table = np.column_stack([planes.normal, planes.height, weight]).astype(np.float32)
+    return map_rows(lambda rows: _vote_rows(x, index[rows], x[rows], table), len(x))
+
+
+def _vote_rows(x: F32, index: I32, own: F32, table: F32) -> F32:
+    nx, ny, nz, height, w = (table[:, column][index] for column in range(5))
+    r = nx * (own[:, 0, None] - x[:, 0][index])
+    r += ny * (own[:, 1, None] - x[:, 1][index])
+    r += nz * (own[:, 2, None] - x[:, 2][index])
+    r = np.abs(r - height)
+    near, far = ((w / (1 + (r / np.float32(scale)) ** 2)).sum(1) for scale in (NEAR, FAR))
+    mean = (w * r).sum(1) / (w.sum(1) + np.float32(1e-3))
+    return np.log(np.column_stack([near, far, mean]) + np.float32(LEAST)).astype(np.float32)
