@@ -35,16 +35,18 @@ def reproject(
     values = disparity.values.ravel()
     least = float(rig.disparity(config.max_depth_m))
     # NaN compares false, so this also leaves out the pixels without a disparity.
-    pixel = np.flatnonzero(values >= least)
-    z = rig.depth(values[pixel])
-    v, u = np.divmod(pixel, rig.width)
-    xyz = rig.back_project(u, v, z)
+    pixel = np.flatnonzero(values >= least).astype(np.int32)
+    v, u = np.divmod(pixel, np.int32(rig.width))
+    z = np.float32(rig.fx * rig.baseline_m) / (values[pixel] + np.float32(rig.doffs_px))
+    x = (u - np.float32(rig.cx)) * z / np.float32(rig.fx)
+    y = (v - np.float32(rig.cy)) * z / np.float32(rig.fy)
+    xyz = np.stack([x, y, z], -1, dtype=np.float32)
     if volume is not None:
         inside = volume.contains(xyz)
         xyz, pixel, z = xyz[inside], pixel[inside], z[inside]
     return PointCloud(
-        xyz.astype(np.float32),
-        pixel.astype(np.int32),
+        xyz,
+        pixel,
         pair.left.reshape(-1, 3)[pixel],
         rig.depth_sigma(z, sigma_px).astype(np.float32),
         (rig.height, rig.width),

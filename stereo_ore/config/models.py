@@ -25,7 +25,7 @@ class MatchingConfig(StageConfig):
     block_size: int = param(5, "side of the matching window, odd", "px", ge=1, le=15)
     p1: int = param(8, "penalty of a one-level disparity step, times block_size²", ge=0)
     p2: int = param(32, "penalty of a larger step, times block_size²", ge=1)
-    uniqueness: int = param(5, "margin by which the best cost must win", "%", ge=0, le=50)
+    uniqueness: int = param(0, "margin by which the best cost must win", "%", ge=0, le=50)
     pre_filter_cap: int = param(31, "truncation of the prefiltered gradient", "grey levels", ge=1, le=63)
     min_disparity: int | None = param(None, "smallest disparity searched; null: 0, or from the working volume", "px")
     num_disparities: int | None = param(

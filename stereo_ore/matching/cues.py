@@ -25,7 +25,7 @@ def compute(matched: F32, valid: Mask, lr_diff: F32, refined: Refined) -> dict[s
     Parameters
     ----------
     matched : (h, w) float32
-        Disparity as matched [px], anything where it is not valid.
+        Disparity as matched [px], 0 where it is not valid.
     valid : (h, w) bool
         Where there is a disparity in the end.
     lr_diff : (h, w) float32
@@ -36,7 +36,7 @@ def compute(matched: F32, valid: Mask, lr_diff: F32, refined: Refined) -> dict[s
     weight = valid.astype(np.float32)
     near = np.maximum(windows.mean(weight, PATCH_PX), windows.EPSILON)
     around = np.maximum(windows.mean(weight, SPREAD_PX), windows.EPSILON)
-    deviation = np.abs(matched - cv2.medianBlur(np.where(valid, matched, np.float32(0)), 5))
+    deviation = np.abs(matched - cv2.medianBlur(matched, 5))
     deviation = np.minimum(deviation, np.float32(MAX_DEVIATION_PX)) * weight
     texture = np.sqrt(windows.mean(refined.gradient**2, PATCH_PX))
     return {

@@ -9,8 +9,12 @@ import numpy as np
 
 from stereo_ore.config import MatchingConfig
 from stereo_ore.matching import consistency, cues, sgbm, subpixel
+from stereo_ore.matching.bands import in_bands
 from stereo_ore.matching.region import default_disparities
-from stereo_ore.types import F32, U8, Disparity, RectifiedPair, Region, Rig
+from stereo_ore.types import CUES, F32, I16, U8, Disparity, Mask, RectifiedPair, Region, Rig
+
+HALO_PX = max(cues.SHARE_PX // 2, subpixel.REACH_PX + cues.PATCH_PX // 2)
+"""Rows that the windows around a pixel reach."""
 
 
 def match(pair: RectifiedPair, region: Region, config: MatchingConfig) -> Disparity:
@@ -29,22 +33,34 @@ def match(pair: RectifiedPair, region: Region, config: MatchingConfig) -> Dispar
     -------
     Disparity
         Full-image values [px], the calibration's correction added, NaN outside the region and where nothing reliable
-        was found; cues for each pixel; counts of what each step left.
+        was found; cues for each pixel of the region, 0 elsewhere; counts of what each step left.
     """
     images = sgbm.crop(grey(pair.left), grey(pair.right), region)
-    left, lr_diff, valid = consistency.match_both(images, config)
-    filled = np.where(valid, left, np.float32(0))
-    refined = subpixel.refine(images, filled, valid)
-    doubts = cues.compute(filled, valid, lr_diff, refined)
-    offset = np.float32(region.min_disparity + pair.rig.disparity_offset_px)
-    values = np.where(valid, refined.values + offset, np.float32(np.nan))
-    passed = {"matched": np.isfinite(left), "disparities": valid}
-    return Disparity(
-        _full(pair.rig, region, values),
-        region,
-        {name: _full(pair.rig, region, cue) for name, cue in doubts.items()},
-        search_saved(pair.rig, region) | {name: int(mask.sum()) for name, mask in passed.items()},
-    )
+    matched, lr_diff, valid = consistency.match_both(images, config)
+    values, doubts = _finish(images, matched, lr_diff, valid, pair.rig)
+    counts = {"matched": int((matched >= 0).sum()), "disparities": int(valid.sum())}
+    return Disparity(values, region, doubts, search_saved(pair.rig, region) | counts)
+
+
+def _finish(images: sgbm.Crop, matched: I16, lr_diff: F32, valid: Mask, rig: Rig) -> tuple[F32, dict[str, F32]]:
+    """Refined disparities and cues of the whole image."""
+    region = images.region
+    values = np.full((rig.height, rig.width), np.nan, np.float32)
+    doubts = {name: np.zeros((rig.height, rig.width), np.float32) for name in CUES}
+    offset = np.float32(region.min_disparity + rig.disparity_offset_px)
+    brightness = subpixel.brightness_ratio(images)
+
+    def refine(rows: slice, core: slice, band: slice) -> None:
+        filled = sgbm.to_px(matched[rows]) * valid[rows]
+        refined = subpixel.refine(images.rows(rows), filled, valid[rows], brightness)
+        found = cues.compute(filled, valid[rows], lr_diff[rows], refined)
+        target = (slice(region.y0 + band.start, region.y0 + band.stop), region.slices[1])
+        np.copyto(values[target], refined.values[core] + offset, where=valid[band])
+        for name, cue in found.items():
+            doubts[name][target] = cue[core]
+
+    in_bands(len(matched), HALO_PX, refine)
+    return values, doubts
 
 
 def grey(image: U8) -> U8:
@@ -62,9 +78,3 @@ def search_saved(rig: Rig, region: Region) -> dict[str, Any]:
         "num_disparities": region.num_disparities,
         "saved_share": 1 - pixels * region.num_disparities / whole,
     }
-
-
-def _full(rig: Rig, region: Region, part: F32) -> F32:
-    whole = np.full((rig.height, rig.width), np.nan, np.float32)
-    whole[region.slices] = part
-    return whole

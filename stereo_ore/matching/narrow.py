@@ -19,6 +19,9 @@ COARSE_WIDTH_PX = 320
 COARSE = {"mode": "3way", "uniqueness": 10, "lr_max_diff": 1.0, "speckle_size": 20, "speckle_range": 1.0}
 """A noisy disparity of the small copy would widen the range, so doubt decides against it; no lump is a speckle."""
 
+FAR_SHARE = 0.005
+"""Share of the far end of the disparities that may be missed: nothing of interest is there, but wrong matches are."""
+
 LEAST_SHARE = 0.02
 """Below this share of matched pixels the small copy is not believed."""
 
@@ -45,10 +48,10 @@ def narrow(pair: RectifiedPair, region: Region, volume: Volume | None, config: M
     scale = max(pair.rig.width // COARSE_WIDTH_PX, 1)
     coarse = _coarse_region(pair.rig, region, scale)
     images = sgbm.crop(_reduce(grey(pair.left), scale), _reduce(grey(pair.right), scale), coarse)
-    values, _, seen = consistency.match_both(images, config.model_copy(update=COARSE))
+    matched, _, seen = consistency.match_both(images, config.model_copy(update=COARSE))
     if seen.mean() < LEAST_SHARE:
         return region
-    disparity = (values + np.float32(coarse.min_disparity)) * np.float32(scale)
+    disparity = (sgbm.to_px(matched) + np.float32(coarse.min_disparity)) * np.float32(scale)
     rectangle = _rectangle(pair.rig, region, coarse, scale, disparity, seen, volume)
     return _range(region, rectangle, coarse, scale, disparity, seen)
 
@@ -73,26 +76,20 @@ def _rectangle(
     whole = (region.x0, region.y0, region.x1, region.y1)
     if volume is None:
         return whole
-    rows, columns = np.nonzero(_shows(rig, coarse, scale, disparity, volume) & seen)
-    if not len(rows):
+    rows, columns = np.nonzero(seen)
+    u, v = ((index + first) * scale for index, first in ((columns, coarse.x0), (rows, coarse.y0)))
+    z = rig.depth(disparity[seen] + rig.disparity_offset_px)
+    inside = volume.contains(rig.back_project(u, v, z).astype(np.float32))
+    if not inside.any():
         return whole
+    u, v = u[inside], v[inside]
     margin = MARGIN_PX + scale
     return (
-        max((int(columns.min()) + coarse.x0) * scale - margin, region.x0),
-        max((int(rows.min()) + coarse.y0) * scale - margin, region.y0),
-        min((int(columns.max()) + coarse.x0 + 1) * scale + margin, region.x1),
-        min((int(rows.max()) + coarse.y0 + 1) * scale + margin, region.y1),
+        max(int(u.min()) - margin, region.x0),
+        max(int(v.min()) - margin, region.y0),
+        min(int(u.max()) + scale + margin, region.x1),
+        min(int(v.max()) + scale + margin, region.y1),
     )
-
-
-def _shows(rig: Rig, coarse: Region, scale: int, disparity: F32, volume: Volume) -> Mask:
-    """True where a disparity within half a pixel of the copy's lies inside the volume."""
-    v, u = np.mgrid[coarse.y0 : coarse.y1, coarse.x0 : coarse.x1] * scale + (scale - 1) / 2
-    inside = np.zeros(disparity.shape, bool)
-    for error in (-scale / 2, 0.0, scale / 2):
-        z = rig.depth(disparity + rig.disparity_offset_px + error)
-        inside |= volume.contains(rig.back_project(u, v, z))
-    return inside
 
 
 def _range(
@@ -105,6 +102,6 @@ def _range(
         slice(x0 // scale - coarse.x0, -(-x1 // scale) - coarse.x0),
     )
     found = disparity[part][seen[part]]
-    lowest = max(math.floor(found.min() - scale / 2), coarse.min_disparity * scale)
+    lowest = max(math.floor(np.quantile(found, FAR_SHARE) - scale / 2), coarse.min_disparity * scale)
     highest = min(math.ceil(found.max() + scale / 2), region.min_disparity + region.num_disparities - 1)
     return Region(x0, y0, x1, y1, lowest, round_up(highest - lowest + 1))

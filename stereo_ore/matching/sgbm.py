@@ -8,9 +8,12 @@ import cv2
 import numpy as np
 
 from stereo_ore.config import MatchingConfig
-from stereo_ore.types import F32, U8, Mask, Region
+from stereo_ore.types import F32, I16, U8, Mask, Region
 
 SUBPIXEL = 16
+NONE = -SUBPIXEL
+"""Any negative disparity of a crop means none."""
+
 MODES = {
     "sgbm": cv2.STEREO_SGBM_MODE_SGBM,
     "3way": cv2.STEREO_SGBM_MODE_SGBM_3WAY,
@@ -43,45 +46,64 @@ class Crop:
         n = self.region.num_disparities
         return np.arange(n, self.left.shape[1] - n, dtype=np.float32)
 
+    def rows(self, rows: slice) -> Crop:
+        """Some rows of the crop; the region is still the whole one."""
+        return Crop(self.left[rows], self.right[rows], self.region)
+
 
 def crop(left: U8, right: U8, region: Region) -> Crop:
     """Cut what the region needs out of two grey images (H, W)."""
-    n, width = region.num_disparities, left.shape[1]
+    n, shift = region.num_disparities, region.min_disparity
     rows = slice(region.y0, region.y1)
-    columns = np.arange(region.x0 - n, region.x1 + n)
-    take_left = np.clip(columns, 0, width - 1)
-    take_right = np.clip(columns - region.min_disparity, 0, width - 1)
-    return Crop(left[rows][:, take_left], right[rows][:, take_right], region)
+    start, stop = region.x0 - n, region.x1 + n
+    return Crop(_columns(left[rows], start, stop), _columns(right[rows], start - shift, stop - shift), region)
 
 
-def match_left(images: Crop, config: MatchingConfig) -> F32:
-    """Disparity of the region's pixels, (h, w) float32 [px], NaN where none was found."""
+def match_left(images: Crop, config: MatchingConfig) -> I16:
+    """Disparity of the region's pixels, (h, w) int16 [px / 16], negative where none was found."""
     n = images.region.num_disparities
     end = images.left.shape[1] - n
     matcher = _matcher(config, 0, n)
     fixed = matcher.compute(np.ascontiguousarray(images.left[:, :end]), np.ascontiguousarray(images.right[:, :end]))
-    return _to_float(fixed[:, n:], 0)
+    return np.ascontiguousarray(fixed[:, n:], np.int16)
 
 
-def match_right(images: Crop, config: MatchingConfig) -> F32:
-    """Disparity of the right image's pixels, (h, w + n) float32 [px]: column j matches left column j + disparity.
+def match_right(images: Crop, config: MatchingConfig) -> I16:
+    """Disparity of the right image's pixels, (h / 2, w + n) int16 [px / 16], negative where none was found.
 
-    Column j of the result is column j of the crop.
+    Column j is column j of the crop, and matches its left column j + disparity. Rows are averaged by twos: half the
+    time, and a witness that errs in other places than the left match does.
     """
     n = images.region.num_disparities
-    fixed = _matcher(config, 1 - n, n).compute(images.right, images.left)
-    return -_to_float(fixed[:, : images.right.shape[1] - n], 1 - n)
+    fixed = _matcher(config, 1 - n, n).compute(_half_rows(images.right), _half_rows(images.left))
+    return np.negative(fixed[:, : images.right.shape[1] - n], dtype=np.int16)
 
 
-def drop_speckles(values: F32, size: int, step_px: float) -> Mask:
-    """True where a disparity belongs to a connected patch of at least `size` pixels."""
-    valid = np.isfinite(values)
+def drop_speckles(fixed: I16, size: int, step_px: float) -> Mask:
+    """True where a disparity [px / 16] belongs to a connected patch of at least `size` pixels."""
     if size == 0:
-        return valid
-    none = -SUBPIXEL
-    fixed = np.where(valid, values * np.float32(SUBPIXEL), np.float32(none)).astype(np.int16)
-    cv2.filterSpeckles(fixed, none, size, step_px * SUBPIXEL)
-    return np.asarray(fixed != none)
+        return np.asarray(fixed >= 0)
+    kept = fixed.copy()
+    cv2.filterSpeckles(kept, NONE, size, step_px * SUBPIXEL)
+    return np.asarray(kept >= 0)
+
+
+def to_px(fixed: I16) -> F32:
+    """Sixteenths as pixels."""
+    return np.multiply(fixed, np.float32(1 / SUBPIXEL), dtype=np.float32)
+
+
+def _half_rows(image: U8) -> U8:
+    height, width = image.shape
+    return np.asarray(cv2.resize(image, (width, (height + 1) // 2), interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _columns(image: U8, start: int, stop: int) -> U8:
+    """Columns `start` to `stop` of an image; those outside repeat its rim."""
+    width = image.shape[1]
+    inner = image[:, min(max(start, 0), width - 1) : max(min(stop, width), 1)]
+    before, after = max(-start, 0), max(stop - width, 0)
+    return np.asarray(cv2.copyMakeBorder(inner, 0, 0, before, after, cv2.BORDER_REPLICATE), np.uint8)
 
 
 def _matcher(config: MatchingConfig, lowest: int, count: int) -> cv2.StereoSGBM:
@@ -98,10 +120,3 @@ def _matcher(config: MatchingConfig, lowest: int, count: int) -> cv2.StereoSGBM:
         speckleWindowSize=0,
         mode=MODES[config.mode],
     )
-
-
-def _to_float(fixed: cv2.typing.MatLike, lowest: int) -> F32:
-    """OpenCV's int16 sixteenths of a pixel as float32, its "none" as NaN."""
-    values = fixed.astype(np.float32) / np.float32(SUBPIXEL)
-    values[fixed < lowest * SUBPIXEL] = np.nan
-    return np.asarray(values, np.float32)

@@ -18,6 +18,9 @@ BEFORE_PX, BEFORE_STEP_PX = 5, 1.5
 AFTER_PX, AFTER_STEP_PX = 5, 1.0
 """Windows over which disparities of one surface are averaged before and after, and the steps that end a surface."""
 
+REACH_PX = BEFORE_PX // 2 + PATCH_PX // 2 + AFTER_PX // 2
+"""How far from a pixel the refinement looks."""
+
 MAX_SHIFT_PX = 0.5
 """The parabola is never more than half a pixel wrong on the right minimum."""
 
@@ -38,7 +41,7 @@ class Refined:
     gradient: F32
 
 
-def refine(images: Crop, filled: F32, valid: Mask) -> Refined:
+def refine(images: Crop, filled: F32, valid: Mask, brightness: np.float32) -> Refined:
     """One Gauss-Newton step of Lucas and Kanade's (1981) registration for each pixel.
 
     With I_L(x) = I_R(x − d − δ) in a window, δ = −Σ g·r / Σ g², where r = I_L(x) − γ·I_R(x − d), g = ∂I_L/∂x and γ the
@@ -50,20 +53,21 @@ def refine(images: Crop, filled: F32, valid: Mask) -> Refined:
     images : Crop
         Grey images.
     filled : (h, w) float32
-        Disparity in the crop [px], anything where it is not valid.
+        Disparity in the crop [px], 0 where it is not valid.
     valid : (h, w) bool
         Where there is a disparity.
+    brightness : float
+        γ, from `brightness_ratio` of the whole crop.
     """
     start = windows.smooth(filled, valid, BEFORE_PX, BEFORE_STEP_PX)
     left = images.inner.astype(np.float32)
-    residual = left - _brightness_ratio(images) * warp(images, start)
-    residual[~valid] = 0
+    residual = (left - brightness * warp(images, start)) * valid
     gradient = np.asarray(cv2.Sobel(left, cv2.CV_32F, 1, 0, ksize=1, scale=0.5), np.float32)
     used = gradient * valid
     slope = windows.mean(used * residual, PATCH_PX)
     energy = windows.mean(used * used, PATCH_PX)
     shift = np.clip(-slope / (energy + np.float32(NOISE)), -MAX_SHIFT_PX, MAX_SHIFT_PX)
-    refined = windows.smooth(start + shift, valid, AFTER_PX, AFTER_STEP_PX)
+    refined = windows.smooth((start + shift) * valid, valid, AFTER_PX, AFTER_STEP_PX)
     return Refined(refined, np.abs(residual), gradient)
 
 
@@ -75,6 +79,6 @@ def warp(images: Crop, disparity: F32) -> F32:
     return np.asarray(cv2.remap(right, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32)
 
 
-def _brightness_ratio(images: Crop) -> np.float32:
+def brightness_ratio(images: Crop) -> np.float32:
     """Left over right brightness of the two crops."""
     return np.float32(max(float(images.left.mean()), 1.0) / max(float(images.right.mean()), 1.0))

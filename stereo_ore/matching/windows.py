@@ -21,7 +21,7 @@ def smooth(filled: F32, valid: Mask, window: int, step_px: float) -> F32:
     Parameters
     ----------
     filled : (h, w) float32
-        Disparity [px], anything where it is not valid.
+        Disparity [px], 0 where it is not valid.
     valid : (h, w) bool
         Where there is a disparity.
     window : int
@@ -30,9 +30,7 @@ def smooth(filled: F32, valid: Mask, window: int, step_px: float) -> F32:
         A window whose disparities span at least this [px] shows more than one surface.
     """
     kernel = np.ones((window, window), np.uint8)
-    far = np.float32(1e4)
-    highest = cv2.dilate(np.where(valid, filled, -far), kernel)
-    lowest = cv2.erode(np.where(valid, filled, far), kernel)
-    weight = mean(valid.astype(np.float32), window)
-    average = mean(np.where(valid, filled, np.float32(0)), window) / np.maximum(weight, EPSILON)
-    return np.where(valid & (highest - lowest < step_px), average, filled)
+    highest = cv2.dilate(filled, kernel)
+    lowest = cv2.erode(np.where(valid, filled, np.float32(np.inf)), kernel)
+    average = mean(filled, window) / np.maximum(mean(valid.astype(np.float32), window), EPSILON)
+    return np.where((highest - lowest < step_px) & valid, average, filled)
