@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from stereo_ore.config import VoxelConfig
 from stereo_ore.errors import CloudError
-from stereo_ore.types import F32, Disparity, PointCloud, Rig, Volume, VoxelCloud
+from stereo_ore.types import F32, I32, Disparity, PointCloud, Rig, Volume, VoxelCloud
 
 Int64 = npt.NDArray[np.int64]
 
@@ -57,19 +57,15 @@ def voxelise(cloud: PointCloud, disparity: Disparity, rig: Rig, size_m: float) -
     CloudError
         When the grid would have more cells than a key can number.
     """
-    order, start, count = _group(_keys(cloud.xyz, size_m))
-    inverse = np.empty(len(order), np.int32)
-    inverse[order] = np.repeat(np.arange(len(count), dtype=np.int32), count)
+    inverse, count = _group(_keys(cloud.xyz, size_m))
 
     def mean(values: npt.NDArray[np.floating]) -> F32:
-        if not len(count):
-            return np.zeros(0, np.float32)
-        return (np.add.reduceat(values[order], start, dtype=np.float64) / count).astype(np.float32)
+        return (np.bincount(inverse, values, len(count)) / count).astype(np.float32)
 
     xyz = np.stack([mean(cloud.xyz[:, axis]) for axis in range(3)], -1)
     return VoxelCloud(
         xyz,
-        count.astype(np.int32),
+        count,
         inverse,
         size_m,
         mean(cloud.sigma_z),
@@ -80,23 +76,25 @@ def voxelise(cloud: PointCloud, disparity: Disparity, rig: Rig, size_m: float) -
 
 def _keys(xyz: F32, size_m: float) -> Int64:
     """One number a cell, ascending in x, then y, then z; counted from the cloud's corner, which moves no cell."""
-    if not len(xyz):
-        return np.zeros(0, np.int64)
-    cells = np.floor(xyz / np.float64(size_m))
-    cells -= cells.min(0)
-    extent = cells.max(0) + 1
-    if np.log2(extent).sum() + np.log2(len(xyz)) > MAX_BITS:
-        raise CloudError(
-            f"voxels of {size_m:.3g} m are too small for a cloud of {extent.max() * size_m:.3g} m",
-            key="voxel.size_m",
-            remedy="Use larger voxels, or a smaller working volume",
-        )
-    ix, iy, iz = cells.astype(np.int64).T
-    return np.asarray((ix * int(extent[1]) + iy) * int(extent[2]) + iz)
+    keys = np.zeros(len(xyz), np.int64)
+    bits = np.log2(max(len(xyz), 1))
+    for axis in range(3 if len(xyz) else 0):
+        cell = np.floor(xyz[:, axis] / np.float64(size_m))
+        extent = cell.max() - cell.min() + 1
+        bits += np.log2(extent)
+        if not bits < MAX_BITS:
+            raise CloudError(
+                f"voxels of {size_m:.3g} m are too small for a cloud of {extent * size_m:.3g} m",
+                key="voxel.size_m",
+                remedy="Use larger voxels, or a smaller working volume",
+            )
+        keys *= int(extent)
+        keys += (cell - cell.min()).astype(np.int64)
+    return keys
 
 
-def _group(keys: Int64) -> tuple[Int64, Int64, Int64]:
-    """Stable order by key, and the start and the length of each run of equal keys.
+def _group(keys: Int64) -> tuple[I32, I32]:
+    """The rank of each key among the different ones, and how often each of these occurs.
 
     Key and position are packed into one number, because a plain sort is several times faster than an argsort.
     """
@@ -105,5 +103,6 @@ def _group(keys: Int64) -> tuple[Int64, Int64, Int64]:
     order, keys = packed & ((1 << bits) - 1), packed >> bits
     first = np.ones(len(keys), bool)
     first[1:] = keys[1:] != keys[:-1]
-    start = np.flatnonzero(first)
-    return order, start, np.diff(np.append(start, len(keys)))
+    inverse = np.empty(len(keys), np.int32)
+    inverse[order] = np.cumsum(first, dtype=np.int32) - 1
+    return inverse, np.diff(np.append(np.flatnonzero(first), len(keys))).astype(np.int32)
