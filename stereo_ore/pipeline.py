@@ -103,11 +103,11 @@ Value = TypeVar("Value")
 
 
 def _match(result: FrameResult, context: Context) -> FrameResult:
-    pair = _have(result.pair)
-    disparity = matching.match(pair, context.region, context.config.matching)
+    pair, config = _have(result.pair), context.config.matching
+    region = matching.narrow(pair, context.region, context.site.volume, config)
+    disparity = matching.match(pair, region, config)
     valid = int(np.isfinite(disparity.values).sum())
     result = _count(replace(result, disparity=disparity), pixels=disparity.values.size, disparities=valid)
-    region = context.region
     share = valid / max((region.x1 - region.x0) * (region.y1 - region.y0), 1)
     if share < MIN_DISPARITY_SHARE:
         detail = (
@@ -138,7 +138,7 @@ def _filter(result: FrameResult, context: Context) -> FrameResult:
     grid = _have(result.voxels)
     filtered = filters.apply(grid, context.config.filter)
     keep_points: Mask = filtered.keep[grid.inverse]
-    surface = cloud.surface(_have(result.cloud), keep_points, _have(result.pair), context.region)
+    surface = cloud.surface(_have(result.cloud), keep_points, _have(result.pair), _have(result.disparity).region)
     return _count(replace(result, filtered=filtered, surface=surface), kept=int(filtered.keep.sum()))
 
 
