@@ -113,7 +113,7 @@ def iou_matrix(
     common = np.bincount(rows[both] * shape[1] + columns[both], minlength=shape[0] * shape[1]).reshape(shape)
     areas = np.bincount(rows[row_hit], minlength=shape[0])[:, None]
     found_areas = np.bincount(columns[column_hit], minlength=shape[1])[None]
-    return common / np.maximum(areas + found_areas - common, 1)
+    return np.asarray(common / np.maximum(areas + found_areas - common, 1))
 
 
 def best_pairs(iou: F64) -> list[tuple[int, int]]:

@@ -29,7 +29,8 @@ def shared_data() -> Path:
 
 def small_spec(lumps: int) -> synth.SceneSpec:
     spec = synth.sample_spec(7, "paper", "VGA")
-    return replace(spec, lumps=lumps, pitch=np.radians(75.0), camera_height=0.85, supersampling=1)
+    camera = replace(spec.camera, pitch=float(np.radians(75.0)), height=0.85)
+    return replace(spec, lumps=lumps, camera=camera, supersampling=1)
 
 
 @pytest.fixture(scope="session")

@@ -70,7 +70,7 @@ def tuned_baselines(xyz: F32, noise: Mask) -> dict[str, Any]:
 
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(xyz.astype(float)))
     some = xyz[:: max(1, len(xyz) // 4000)]
-    spacing = float(np.median(cKDTree(xyz).query(some, k=2)[0][:, 1])) if len(xyz) > 1 else 1.0
+    spacing = float(np.median(np.asarray(cKDTree(xyz).query(some, k=2)[0])[:, 1])) if len(xyz) > 1 else 1.0
     statistical = (cloud.remove_statistical_outlier(k, s)[1] for k, s in STATISTICAL_GRID)
     radius = (cloud.remove_radius_outlier(n, r * spacing)[1] for n, r in RADIUS_GRID)
     return {"statistical": _best(statistical, noise), "radius": _best(radius, noise)}

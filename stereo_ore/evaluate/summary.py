@@ -54,7 +54,7 @@ def _lumps(rows: Sequence[Row], key: str) -> list[float]:
 
 
 def _share(rows: Sequence[Row], part: str, whole: str) -> float:
-    return sum(row[part] for row in rows) / max(sum(row[whole] for row in rows), 1)
+    return float(sum(row[part] for row in rows) / max(sum(row[whole] for row in rows), 1))
 
 
 def _mean(values: Sequence[float]) -> float:

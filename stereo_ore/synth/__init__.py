@@ -1,18 +1,21 @@
 """Made-up measurements with exact truth: ray-cast ore on a grizzly, and the published experiment's cloud."""
 
+from stereo_ore.synth.families import FAMILIES, sample_spec
 from stereo_ore.synth.files import write
 from stereo_ore.synth.paper_cloud import NOISE_SHARES, paper_cloud
 from stereo_ore.synth.scene import Scene, scene
-from stereo_ore.synth.spec import FAMILIES, SIZES, SceneSpec, sample_spec
+from stereo_ore.synth.spec import SIZES, Camera, SceneSpec, Sensor
 from stereo_ore.synth.truth import LumpTruth
 
 __all__ = [
     "FAMILIES",
     "NOISE_SHARES",
     "SIZES",
+    "Camera",
     "LumpTruth",
     "Scene",
     "SceneSpec",
+    "Sensor",
     "paper_cloud",
     "sample_spec",
     "scene",

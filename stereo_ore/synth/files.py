@@ -61,8 +61,8 @@ def _calib(scene: Scene) -> dict[str, Any]:
     else:
         document |= {"K": c.left.K.tolist(), "dist": [0.0] * 5}
     document["baseline_mm"] = float(np.linalg.norm(c.t_right_left)) * 1000
-    document["T_world_left"] = _millimetres(scene.spec.T_world_left)
-    document["T_world_right"] = _millimetres(scene.spec.T_world_left @ np.linalg.inv(T_right_left))
+    document["T_world_left"] = _millimetres(scene.spec.camera.T_world_left)
+    document["T_world_right"] = _millimetres(scene.spec.camera.T_world_left @ np.linalg.inv(T_right_left))
     return document
 
 
@@ -81,12 +81,12 @@ def _reference(scene: Scene) -> dict[str, Any]:
 def _millimetres(T: F64) -> list[list[float]]:
     scaled = T.copy()
     scaled[:3, 3] *= 1000
-    return scaled.round(9).tolist()
+    return [[round(float(value), 9) for value in row] for row in scaled]
 
 
 def _truth(scene: Scene) -> dict[str, Any]:
     spec, screen = scene.spec, scene.spec.screen
-    T_left_screen = np.linalg.inv(spec.T_world_left) @ spec.T_world_screen
+    T_left_screen = np.linalg.inv(spec.camera.T_world_left) @ spec.T_world_screen
     normal, origin = T_left_screen[:3, 2], T_left_screen[:3, 3]
     return {
         "name": spec.name, "family": spec.family, "units": "mm, pixels, degrees", "seed": spec.seed,
@@ -97,9 +97,10 @@ def _truth(scene: Scene) -> dict[str, Any]:
         "tilt_deg": np.degrees(spec.tilt).tolist(), "T_world_screen": _millimetres(spec.T_world_screen),
         "T_left_screen": _millimetres(T_left_screen),
         "screen_plane_left": {"normal": normal.tolist(), "offset_mm": float(normal @ origin) * 1000},
-        "camera": {"height_m": spec.camera_height, "pitch_deg": float(np.degrees(spec.pitch))},
-        "full_well_e": spec.full_well, "read_noise_e": spec.read_noise, "gain": list(spec.gain),
-        "contrast": spec.contrast, "wet": spec.wet, "haze_per_m": spec.haze_per_m,
+        "camera": {"height_m": spec.camera.height, "pitch_deg": float(np.degrees(spec.camera.pitch))},
+        "full_well_e": spec.sensor.full_well, "read_noise_e": spec.sensor.read_noise,
+        "gain": list(spec.sensor.gain), "contrast": spec.sensor.contrast,
+        "wet": spec.wet, "haze_per_m": spec.haze_per_m,
         "lumps": [_lump(lump, raw=spec.raw) for lump in scene.lumps],
     }  # fmt: skip
 

@@ -61,16 +61,16 @@ def surface(materials: dict[str, Material], part: Part, xyz: F32, normals: F32) 
     gloss: float | F32 = material.gloss
     if part.material == "steel":
         # Only the worn tops shine; sides rust.
-        tops = n[:, 2] > 0.9
+        tops = n[:, 2:] > 0.9
         rust_rgb, rust_slope = _rust(materials["rust"], q, n)
-        rgb, slope = np.where(tops[:, None], rgb, rust_rgb), np.where(tops[:, None], slope, rust_slope)
+        rgb, slope = np.where(tops, rgb, rust_rgb), np.where(tops, slope, rust_slope)
         gloss = np.where(tops, np.float32(material.gloss), np.float32(0.02))
     if material.vein:
         mix = np.clip(abs(material.vein) * vein, 0, 1)[:, None]
         rgb = rgb * (1 - mix) + mix * (VEIN_RGB if material.vein > 0 else 0.1 * VEIN_RGB)
     bent = n - (slope - dot(slope, n) * n)
     bent /= np.sqrt(dot(bent, bent))
-    return rgb, bent @ R.T, gloss, material.shininess
+    return rgb.astype(np.float32), np.asarray(bent @ R.T, np.float32), gloss, material.shininess
 
 
 def _rust(material: Material, q: F32, n: F32) -> tuple[F32, F32]:

@@ -88,19 +88,14 @@ def _lumps(spec: SceneSpec, steel: Mesh, rng: np.random.Generator) -> list[Lump]
     sizes = np.sort(low + (high - low) * rng.beta(1.1, 1.9, spec.lumps))[::-1]
     shapes = [str(s) for s in rng.choice(list(PROPORTIONS), spec.lumps)]
     kinds = [str(s) for s in rng.choice(list(ORES), 2, replace=False)]
+    ores = [str(s) for s in rng.choice(kinds, spec.lumps, p=[0.65, 0.35])]
     meshes = [rock(rng, shape, size) for shape, size in zip(shapes, sizes, strict=True)]
-    half = np.array(spec.screen.size) / 2
-    field = HeightField.over(
-        (half[0] + spec.screen.frame_width, half[1] + spec.screen.frame_width), 0.1 * spec.screen.bar_width
-    )
+    half, beam = np.array(spec.screen.size) / 2, spec.screen.frame_width
+    field = HeightField.over((half[0] + beam, half[1] + beam), 0.1 * spec.screen.bar_width)
     field.add(steel)
     spread = (float(0.64 * half[0]), float(0.64 * half[1]))
-    poses = pile(meshes, field, spread, rng, sink_m=-0.1 * spec.screen.opening)
-    ores = rng.choice(kinds, spec.lumps, p=[0.65, 0.35])
-    return [
-        Lump(mesh.moved(R, t), shape, str(ore), R, t)
-        for mesh, shape, ore, (R, t) in zip(meshes, shapes, ores, poses, strict=True)
-    ]
+    poses = pile(meshes, field, spread, rng, sink_m=-0.3 * spec.screen.opening)
+    return [Lump(meshes[k].moved(R, t), shapes[k], ores[k], R, t) for k, R, t in poses]
 
 
 def _surroundings(spec: SceneSpec, rng: np.random.Generator) -> list[tuple[Mesh, str]]:
@@ -141,7 +136,7 @@ def _sky_share(mesh: Mesh, caster: RayCaster, rng: np.random.Generator, reach: f
         towards = normals + 0.999 * d
         towards /= np.linalg.norm(towards, axis=1, keepdims=True)
         lit += ~blocked(caster, np.concatenate([start, towards], 1), reach)
-    return lit / rays
+    return lit / np.float32(rays)
 
 
 def vertex_normals(mesh: Mesh) -> F64:
@@ -151,4 +146,4 @@ def vertex_normals(mesh: Mesh) -> F64:
     for axis in range(3):
         for corner in range(3):
             total[:, axis] += np.bincount(mesh.triangles[:, corner], face[:, axis], len(total))
-    return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
+    return np.asarray(total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12))

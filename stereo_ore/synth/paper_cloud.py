@@ -64,7 +64,7 @@ def paper_cloud(
 def _offsets(rng: np.random.Generator, count: int, least: float) -> F64:
     """Truncated normal offsets [m], by rejection."""
     drawn = rng.normal(OFFSET_MEAN_M, OFFSET_SIGMA_M, 64 * count)
-    return drawn[(drawn > least) & (drawn <= OFFSET_MAX_M)][:count]
+    return np.asarray(drawn[(drawn > least) & (drawn <= OFFSET_MAX_M)][:count])
 
 
 @lru_cache(maxsize=4)
@@ -75,7 +75,8 @@ def _surface(seed: int) -> tuple[F64, F64, F64]:
     spacing = 0.006
     points = np.empty((0, 9))
     while len(points) < POINTS:
-        points, spacing = _cast(scene, spacing), spacing * 0.985
+        points = _cast(scene, spacing)
+        spacing *= min(0.99, float(np.sqrt(len(points) / POINTS)))
     points = points[rng.permutation(len(points))[:POINTS]]
     low, span = points[:, :3].min(0), np.ptp(points[:, :3], axis=0)
     stretch = np.array(EXTENT_M) / span
@@ -92,7 +93,7 @@ def _ore_on_bars(rng: np.random.Generator) -> Mesh:
     field = HeightField.over((EXTENT_M[0] / 2, EXTENT_M[1] / 2), 0.004)
     field.add(steel)
     poses = pile(lumps, field, (0.2, 0.33), rng, sink_m=0.01)
-    ore = merge([m.moved(R, t) for m, (R, t) in zip(lumps, poses, strict=True)])
+    ore = merge([lumps[k].moved(R, t) for k, R, t in poses])
     stones = ore.vertices * [1, 1, (EXTENT_M[2] - 0.04) / ore.vertices[:, 2].max()]
     return merge([steel, Mesh(stones, ore.triangles)])
 
@@ -108,4 +109,4 @@ def _cast(surface: Mesh, spacing: float) -> F64:
     hit = cast(ray_caster(surface), np.concatenate([origin, rays], 1))
     points = origin + rays * hit["t_hit"][:, None].astype(float)
     seen = np.isfinite(points[:, 2]) & (points[:, 2] > -0.04)
-    return np.concatenate([points, hit["primitive_normals"], rays], 1)[seen]
+    return np.asarray(np.concatenate([points, hit["primitive_normals"], rays], 1)[seen], np.float64)

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from stereo_ore.synth.mesh import Mesh, cast, icosphere, ray_caster
-from stereo_ore.types import F64
+from stereo_ore.synth.rocks import random_rotation
+from stereo_ore.types import F64, I32
 
 ROUNDS, PROPOSALS = 30, 12
 
@@ -51,14 +52,14 @@ class HeightField:
         patch = np.ix_(i, j)
         self.heights[patch] = np.maximum(self.heights[patch], np.where(np.isfinite(height), height, -1.0))
 
-    def _cells(self, low: float, high: float, start: float, count: int) -> F64:
+    def _cells(self, low: float, high: float, start: float, count: int) -> I32:
         first, last = np.floor((low - start) / self.cell), np.ceil((high - start) / self.cell)
-        return np.arange(max(0, first), min(count - 1, last) + 1).astype(int)
+        return np.asarray(np.arange(max(0, first), min(count - 1, last) + 1), np.int32)
 
 
 def drop(points: F64, field: HeightField) -> F64:
     """How far down (...,) each body of (..., V, 3) points may move until one point touches the field [m]."""
-    return (points[..., 2] - field.at(points[..., :2])).min(-1)
+    return np.asarray((points[..., 2] - field.at(points[..., :2])).min(-1))
 
 
 def settle(mesh: Mesh, field: HeightField, R: F64, xy: F64, rng: np.random.Generator) -> tuple[F64, F64]:
@@ -83,7 +84,7 @@ def settle(mesh: Mesh, field: HeightField, R: F64, xy: F64, rng: np.random.Gener
 
 
 def _placed(points: F64, turns: F64, places: F64) -> F64:
-    placed = np.einsum("nij,vj->nvi", turns, points)
+    placed: F64 = np.einsum("nij,vj->nvi", turns, points)
     placed[..., :2] += places[:, None]
     return placed
 
@@ -100,27 +101,20 @@ def _small_rotations(rng: np.random.Generator, angle: float, count: int) -> F64:
 
 def pile(
     meshes: Sequence[Mesh], field: HeightField, spread: tuple[float, float], rng: np.random.Generator, sink_m: float
-) -> list[tuple[F64, F64]]:
-    """Rest poses (R, t) of meshes laid one after another within |x|, |y| ≤ spread; the field grows with them.
+) -> list[tuple[int, F64, F64]]:
+    """Index and rest pose (R, t) of meshes laid one after another within |x|, |y| ≤ spread; the field grows with them.
 
     A body that falls between the bars, its centre lower than `sink_m` above them, or that rolls off the screen is
-    dropped again; the last try is kept wherever it lies highest.
+    dropped again; one that does so six times is left out.
     """
-    from stereo_ore.synth.rocks import random_rotation
-
     poses = []
-    for mesh in meshes:
-        tries = []
+    for index, mesh in enumerate(meshes):
         for _ in range(6):
-            at = _spot(mesh, field, spread, rng)
-            R, t = settle(mesh, field, flat_rotation(rng, random_rotation(rng)), at, rng)
-            inside = bool((np.abs(t[:2]) <= np.array(spread)).all())
-            tries.append((inside, t[2], R, t))
-            if inside and t[2] > sink_m:
+            R, t = settle(mesh, field, _flat_rotation(rng), _spot(mesh, field, spread, rng), rng)
+            if (np.abs(t[:2]) <= np.array(spread)).all() and t[2] > sink_m:
+                field.add(mesh.moved(R, t))
+                poses.append((index, R, t))
                 break
-        _, _, R, t = max(tries, key=lambda one: (one[0], one[1] > sink_m, one[1]))
-        field.add(mesh.moved(R, t))
-        poses.append((R, t))
     return poses
 
 
@@ -128,17 +122,17 @@ def _spot(mesh: Mesh, field: HeightField, spread: tuple[float, float], rng: np.r
     """Where to drop a body: two of three on the emptiest of some random places, the rest anywhere."""
     places = rng.uniform(-1, 1, (12, 2)) * np.array(spread)
     if rng.random() < 1 / 3:
-        return places[0]
+        return np.asarray(places[0])
     radius = 0.4 * float(np.ptp(mesh.vertices, axis=0).max())
     angle = np.arange(8) * np.pi / 4
     ring = places[:, None] + radius * np.stack([np.cos(angle), np.sin(angle)], -1)
     return np.asarray(places[field.at(ring).clip(0).mean(1).argmin()])
 
 
-def flat_rotation(rng: np.random.Generator, R: F64) -> F64:
+def _flat_rotation(rng: np.random.Generator) -> F64:
     """A rotation as lumps land: two of three lie down, any way round and tilted a little, the rest as they come."""
     if rng.random() < 1 / 3:
-        return R
+        return random_rotation(rng)
     a = rng.uniform(0, 2 * np.pi)
     turn = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
     return np.asarray(turn @ _small_rotations(rng, 0.25, 1)[0])

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from stereo_ore.synth.render import Eye
+from stereo_ore.synth.eye import Eye
 from stereo_ore.synth.spec import BASELINE_M, SIZES, SceneSpec
 from stereo_ore.transforms import inverse
 from stereo_ore.types import F64, CameraModel, StereoCalibration
@@ -55,7 +55,7 @@ def raw_rig(spec: SceneSpec) -> StereoCalibration:
         return CameraModel(_pair(focal), _pair(centre), tuple(float(k) for k in scaled))
 
     left, right = eye(DISTORTION_LEFT), eye(DISTORTION_RIGHT)
-    R = cv2.Rodrigues(rng.normal(0, 0.005, 3))[0]
+    R = np.asarray(cv2.Rodrigues(rng.normal(0, 0.005, 3))[0], np.float64)
     t = np.array([-BASELINE_M * (1 + rng.normal(0, 0.001)), *rng.normal(0, 0.0006, 2)])
     return StereoCalibration((width, height), left, right, R, t, "raw", camera=f"synthetic raw ZED2 {spec.size}")
 
@@ -71,9 +71,10 @@ def rectification(calibration: StereoCalibration) -> Rectification:
         P1, P2 = np.hstack([K, np.zeros((3, 1))]), np.hstack([K, K @ t])
         return Rectification(K, -float(P2[0, 3]), np.eye(3), np.eye(3), P1, P2)
     lenses = (K, np.array(calibration.left.distortion), calibration.right.K, np.array(calibration.right.distortion))
-    R1, R2, P1, P2, *_ = cv2.stereoRectify(
+    found = cv2.stereoRectify(
         *lenses, calibration.image_size, calibration.R_right_left, t, flags=cv2.CALIB_ZERO_DISPARITY, alpha=0
     )
+    R1, R2, P1, P2 = (np.asarray(matrix, np.float64) for matrix in found[:4])
     return Rectification(P1[:, :3], -float(P2[0, 3]), R1, R2, P1, P2)
 
 

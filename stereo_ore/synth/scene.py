@@ -6,12 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stereo_ore.synth.eye import Eye, depth_and_instance
+from stereo_ore.synth.families import sample_spec
 from stereo_ore.synth.materials import make_materials
 from stereo_ore.synth.model import Model, build
-from stereo_ore.synth.render import Eye, depth_and_instance, radiance
+from stereo_ore.synth.render import radiance
 from stereo_ore.synth.rig import Rectification, eyes, ideal_rig, raw_rig, rectification
 from stereo_ore.synth.sensor import expose, exposure_gain
-from stereo_ore.synth.spec import SceneSpec, sample_spec
+from stereo_ore.synth.spec import SceneSpec
 from stereo_ore.synth.truth import LumpTruth, lump_truths
 from stereo_ore.transforms import inverse
 from stereo_ore.types import F32, I32, Plane, Site, StereoCalibration, StereoPair, Volume
@@ -59,7 +61,7 @@ def scene(spec: SceneSpec | int, family: str = "large", size: str = "HD720") -> 
     model = build(spec)
     calibration = raw_rig(spec) if spec.raw else ideal_rig(spec)
     rectified = rectification(calibration)
-    T_screen_left = inverse(spec.T_world_screen) @ spec.T_world_left
+    T_screen_left = inverse(spec.T_world_screen) @ spec.camera.T_world_left
     left, right, straight = eyes(calibration, rectified, T_screen_left)
     depth, instance = depth_and_instance(model, straight)
     raw_depth, raw_instance = depth_and_instance(model, left) if spec.raw else (depth, instance)
@@ -71,17 +73,19 @@ def scene(spec: SceneSpec | int, family: str = "large", size: str = "HD720") -> 
 
 def _pair(spec: SceneSpec, model: Model, left: Eye, right: Eye) -> StereoPair:
     rng = np.random.default_rng([spec.seed, 20])
-    pixel_m = float(spec.camera_height / np.sin(spec.pitch) / left.camera.focal_px[0])
+    pixel_m = spec.camera.distance / left.camera.focal_px[0]
     materials = make_materials(rng, model, pixel_m, spec.wet)
     views = [radiance(model, materials, spec, eye) for eye in (left, right)]
-    gain = exposure_gain(spec, views[0])
-    images = [expose(spec, view, gain * factor, rng) for view, factor in zip(views, spec.gain, strict=True)]
+    gain = exposure_gain(spec.sensor, views[0])
+    images = [
+        expose(spec.sensor, view, gain * factor, rng) for view, factor in zip(views, spec.sensor.gain, strict=True)
+    ]
     return StereoPair(spec.name, 0, images[0], images[1])
 
 
 def _site(spec: SceneSpec, rectified: Rectification) -> Site:
     """The site in the rectified left camera's frame; the arm's frame is the world."""
-    T_arm_camera = spec.T_world_left @ rectified.T_left_rectified
+    T_arm_camera = spec.camera.T_world_left @ rectified.T_left_rectified
     T_ws, half = spec.T_world_screen, np.array(spec.screen.size) / 2
     corners = np.array([(x, y, z) for x in (-half[0], half[0]) for y in (-half[1], half[1]) for z in (-0.15, 1.0)])
     box = corners @ T_ws[:3, :3].T + T_ws[:3, 3]

@@ -32,7 +32,7 @@ class Screen:
         """Positions x of the bars' middles: as many as fit, one pitch apart, symmetric."""
         pitch = self.opening + self.bar_width
         count = int((self.size[0] - self.opening) / pitch + 1e-9)
-        return (np.arange(count) - (count - 1) / 2) * pitch
+        return np.asarray((np.arange(count) - (count - 1) / 2) * pitch, np.float64)
 
     @property
     def cell(self) -> float:

@@ -84,4 +84,4 @@ def lookup(texture: Texture, u: F32, v: F32) -> F32:
     maps[0, : len(u)], maps[1, : len(u)] = u, v
     maps = np.mod(maps / np.float32(texture.texel_m), SIDE).reshape(2, rows, width)
     found = cv2.remap(texture.image, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
-    return found.reshape(-1, 4)[: len(u)]
+    return np.asarray(found.reshape(-1, 4)[: len(u)], np.float32)

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from stereo_ore.synth.eye import Eye
 from stereo_ore.synth.mesh import Mesh, callipers, cast, icosphere, ray_caster, volume_and_centre
 from stereo_ore.synth.model import FIRST_LUMP, Lump, Model
-from stereo_ore.synth.render import Eye
 from stereo_ore.synth.spec import SceneSpec
 from stereo_ore.transforms import apply, inverse
 from stereo_ore.types import F32, F64, I32, Mask
@@ -111,7 +111,7 @@ def _touches(lumps: Sequence[Lump]) -> list[list[int]]:
         for j in range(i):
             limit = TOUCH * min(sizes[i], sizes[j])
             limit += 0.02 * max(sizes[i], sizes[j])  # vertices lie up to this far from the nearest other vertex
-            if trees[i].query(lumps[j].mesh.vertices, distance_upper_bound=limit)[0].min() < limit:
+            if np.min(trees[i].query(lumps[j].mesh.vertices, distance_upper_bound=limit)[0]) < limit:
                 near[i].append(j)
                 near[j].append(i)
     return [sorted(n) for n in near]
