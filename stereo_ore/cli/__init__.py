@@ -47,7 +47,7 @@ def main(
     """
     level = logging.WARNING if quiet else (logging.INFO, logging.DEBUG)[min(verbose, 1)]
     logging.basicConfig(level=level, format="%(message)s", stream=sys.stderr, force=True)
-    for chatty in ("matplotlib", "asyncio", "numba"):
+    for chatty in ("matplotlib", "asyncio", "asyncua", "numba"):
         logging.getLogger(chatty).setLevel(logging.WARNING)
     os.environ["STEREO_ORE_DEBUG"] = "1" if debug else ""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import time
 from dataclasses import dataclass, replace
 
@@ -14,6 +15,8 @@ from stereo_ore.serve.frames import LiveFrame
 from stereo_ore.sinks.frame_files import FrameFiles
 from stereo_ore.sinks.run_folder import FrameLines
 from stereo_ore.types import FrameResult, Reason
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -37,9 +40,17 @@ class Processor:
         start = time.perf_counter()
         try:
             pair = frame.read()
+            read_ms = 1000 * (time.perf_counter() - start)
+            result = pipeline.process(pair, self.context)
         except FrameError as error:
-            reasons = (Reason(error.code, str(error)),)
-            return FrameResult(frame.name, frame.index, None, "failed", reasons, dict.fromkeys(pipeline.COUNTS, 0))
-        read_ms = 1000 * (time.perf_counter() - start)
-        result = pipeline.process(pair, self.context)
+            return _failed(frame, error.code, str(error))
+        except Exception as fault:
+            # Unattended, a fault of ours must not stop the frames that follow, nor come back at each restart.
+            log.exception("frame %s", frame.name)
+            return _failed(frame, "INTERNAL_ERROR", f"{type(fault).__name__}: {fault}")
         return replace(result, stages_ms={"read": read_ms, **result.stages_ms})
+
+
+def _failed(frame: LiveFrame, code: str, detail: str) -> FrameResult:
+    counts = dict.fromkeys(pipeline.COUNTS, 0)
+    return FrameResult(frame.name, frame.index, None, "failed", (Reason(code, detail),), counts)

@@ -29,7 +29,7 @@ SETTLED_S = 1.0
 SCAN_SHARE = 0.1
 """At most this share of the time is spent listing the folder, however large it grows."""
 TAIL_BYTES = 64
-END_MARKS = {b"\x89PNG": b"IEND", b"\xff\xd8": b"\xff\xd9"}
+END_MARKS = {b"\x89PNG": b"IEND\xaeB`\x82", b"\xff\xd8": b"\xff\xd9"}
 
 
 @dataclass(frozen=True)
