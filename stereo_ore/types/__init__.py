@@ -32,6 +32,7 @@ from stereo_ore.types.results import (
     StrikePlan,
 )
 from stereo_ore.types.stages import (
+    Background,
     Bars,
     Disparity,
     FilterResult,
@@ -51,6 +52,7 @@ __all__ = [
     "I16",
     "I32",
     "U8",
+    "Background",
     "Bars",
     "CameraModel",
     "Disparity",

@@ -57,6 +57,19 @@ class Disparity:
 
 
 @dataclass(frozen=True)
+class Background:
+    """The empty screen: median disparity (H, W) float32 [px], NaN = none, its noise [px], and from how many frames."""
+
+    disparity: F32
+    sigma: F32
+    frames: int
+
+    def __post_init__(self) -> None:
+        check_shape(self, "disparity", self.disparity, None, None)
+        check_shape(self, "sigma", self.sigma, *self.disparity.shape)
+
+
+@dataclass(frozen=True)
 class PointCloud:
     """Points of one image: xyz (N, 3) float32 [m], flat pixel index v·W + u (N,), BGR (N, 3), depth sigma (N,) [m].
 
