@@ -11,10 +11,13 @@ import numpy as np
 
 from stereo_ore.calibration.geometry import check_image_size
 from stereo_ore.calibration.points import rectify_points
-from stereo_ore.calibration.residual import LIMIT_PX, RowResidual, vertical_residual
+from stereo_ore.calibration.residual import LIMIT_PX, RowResidual, match_features, residual_of_matches
 from stereo_ore.errors import CalibrationError
 from stereo_ore.rectify import make_rectifier, rectify
 from stereo_ore.types import F64, U8, RectifiedPair, Rig, StereoCalibration, StereoPair
+
+Matches = tuple[F64, F64]
+"""Recorded pixels (N, 2) of the left and the right eye."""
 
 Verdict = Literal["good", "suspect", "wrong", "unclear"]
 
@@ -100,10 +103,11 @@ def check_pair(pair: StereoPair, calibration: StereoCalibration, known: Sequence
     """
     height, width = pair.left.shape[:2]
     check_image_size(calibration, width, height)
+    matches = match_features(_grey(pair.left), _grey(pair.right))
+    residual = _residual(matches, calibration)
     rectified = rectify(pair, make_rectifier(calibration))
-    residual = _residual(rectified)
     measured = tuple(_measure(point, rectified, calibration) for point in known)
-    findings = [*_row_findings(residual, pair, calibration, rectified.rig), *_offset_findings(measured)]
+    findings = [*_row_findings(residual, matches, calibration, rectified.rig), *_offset_findings(measured)]
     return CheckResult(residual, tuple(findings), measured, rectified.rig)
 
 
@@ -111,12 +115,13 @@ def _grey(image: U8) -> U8:
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
 
 
-def _residual(pair: RectifiedPair) -> RowResidual:
-    return vertical_residual(_grey(pair.left), _grey(pair.right), pair.rig)
+def _residual(matches: Matches, calibration: StereoCalibration) -> RowResidual:
+    """Row differences of recorded matches, were `calibration` right; cheap enough to try many."""
+    return residual_of_matches(*rectify_points(calibration, *matches), make_rectifier(calibration).rig)
 
 
 def _row_findings(
-    residual: RowResidual, pair: StereoPair, calibration: StereoCalibration, rig: Rig
+    residual: RowResidual, matches: Matches, calibration: StereoCalibration, rig: Rig
 ) -> Iterator[Finding]:
     if not residual.enough:
         text = f"only {residual.matched} features match; take a pair of a still scene with light and texture"
@@ -128,7 +133,7 @@ def _row_findings(
     if not residual.aligned:
         text = f"rows differ by {residual.systematic_px:.2f} px, allowed are {LIMIT_PX} px"
         yield Finding("ROWS", "wrong", text)
-        yield from _diagnose(pair, calibration)
+        yield from _diagnose(matches, calibration)
     if not swapped and residual.negative_share > NEGATIVE_SHARE:
         text = f"{residual.negative_share:.0%} of the matches lie behind the camera; is there a disparity offset?"
         yield Finding("NEGATIVE_DISPARITIES", "suspect", text)
@@ -138,26 +143,21 @@ def _row_findings(
         yield Finding("CONVERGENCE", "wrong", text)
 
 
-def _diagnose(pair: StereoPair, calibration: StereoCalibration) -> Iterator[Finding]:
+def _diagnose(matches: Matches, calibration: StereoCalibration) -> Iterator[Finding]:
     """Which simple mistake, undone, makes the rows agree."""
     if calibration.images == "rectified":
         text = "the images are not rectified as this file says: use the raw calibration with images: raw"
         yield Finding("MISSING_RECTIFICATION", "suspect", text)
         return
-    exchanged = replace(pair, left=pair.right, right=pair.left)
+    exchanged = matches[1], matches[0]
     inverted = replace(calibration, R_right_left=calibration.R_right_left.T)
     trials = (
-        (
-            "DOUBLE_RECTIFICATION",
-            pair,
-            _as_rectified(calibration),
-            "the images are rectified already: images: rectified",
-        ),
+        ("DOUBLE_RECTIFICATION", matches, _as_rectified(calibration), "the images are rectified already"),
         ("SWAPPED_EYES", exchanged, calibration, "the rows agree with left and right exchanged"),
-        ("INVERTED_ROTATION", pair, inverted, "the rows agree with the inverse of the rotation"),
+        ("INVERTED_ROTATION", matches, inverted, "the rows agree with the inverse of the rotation"),
     )
-    for code, images, trial, text in trials:
-        if (residual := _residual(rectify(images, make_rectifier(trial)))).aligned and residual.negative_share < 0.5:
+    for code, pixels, trial, text in trials:
+        if (residual := _residual(pixels, trial)).aligned and residual.negative_share < 0.5:
             yield Finding(code, "wrong", text)
 
 

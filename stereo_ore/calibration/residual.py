@@ -101,6 +101,8 @@ def match_features(left: U8, right: U8) -> tuple[F64, F64]:
 def residual_of_matches(left: npt.ArrayLike, right: npt.ArrayLike, rig: Rig) -> RowResidual:
     """Row differences of given matches (N, 2) in rectified images; wrong matches among them are found out."""
     left, right = np.asarray(left, np.float64), np.asarray(right, np.float64)
+    sound = np.isfinite(left).all(1) & np.isfinite(right).all(1)
+    left, right = left[sound], right[sound]
     rows, basis = right[:, 1] - left[:, 1], _basis(left, right, rig)
     if len(left) < FEWEST_MATCHES:
         return _too_few(len(left))

@@ -1,0 +1,175 @@
+"""Stereo rigs with known truth: at random, written in foreign formats, and seeing points."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import yaml
+from hypothesis import strategies as st
+
+from stereo_ore.calibration.geometry import make_calibration
+from stereo_ore.calibration.zed import SIZES
+from stereo_ore.rectify import rectification
+from stereo_ore.types import F64, CameraModel, StereoCalibration
+
+SIZE = (1280, 720)
+
+
+def number(low: float, high: float) -> st.SearchStrategy[float]:
+    return st.floats(low, high, allow_nan=False, allow_infinity=False)
+
+
+def cameras(coefficients: int = 5) -> st.SearchStrategy[CameraModel]:
+    return st.builds(
+        CameraModel,
+        st.tuples(number(300, 1500), number(300, 1500)),
+        st.tuples(number(500, 780), number(250, 470)),
+        st.tuples(*[number(-0.05, 0.05)] * coefficients),
+    )
+
+
+@st.composite
+def raw_rigs(draw: st.DrawFn, coefficients: int = 5) -> StereoCalibration:
+    return make_calibration(
+        "drawn",
+        image_size=SIZE,
+        left=draw(cameras(coefficients)),
+        right=draw(cameras(coefficients)),
+        rotation=draw(st.tuples(*[number(-0.05, 0.05)] * 3)),
+        translation_m=(draw(number(-0.5, -0.05)), draw(number(-0.02, 0.02)), draw(number(-0.02, 0.02))),
+        images="raw",
+        disparity_offset_px=draw(number(-20, 20)),
+        camera=draw(st.text(st.characters(categories=("L", "N", "P", "Zs")), max_size=20)),
+    )
+
+
+def example_rig() -> StereoCalibration:
+    """Turned, distorted eyes such as a factory file describes."""
+    return make_calibration(
+        "example",
+        image_size=SIZE,
+        left=CameraModel((700.9, 700.4), (665.5, 371.2), (-0.1760, 0.0266, 0.0002, -0.0003, 0.0)),
+        right=CameraModel((699.1, 699.3), (639.7, 375.0), (-0.1752, 0.0267, -0.0001, 0.0002, 0.0)),
+        rotation=(0.00613, 0.0068, -0.00194),
+        translation_m=(-0.12, 0.0004, -0.0003),
+        images="raw",
+        camera="example",
+    )
+
+
+def rectified_rig() -> StereoCalibration:
+    eye = CameraModel((530.0, 530.0), (640.0, 360.0))
+    return make_calibration(
+        "example", image_size=SIZE, left=eye, right=eye, translation_m=(-0.12, 0, 0), images="rectified"
+    )
+
+
+def with_rotation(calibration: StereoCalibration, vector: F64) -> StereoCalibration:
+    return replace(calibration, R_right_left=cv2.Rodrigues(np.asarray(vector, float))[0])
+
+
+def rectified_to_raw(calibration: StereoCalibration, xyz: F64) -> tuple[F64, F64]:
+    """Recorded pixels (N, 2) of both eyes of points (N, 3) in the rectified left frame."""
+    if calibration.images == "raw":
+        xyz = xyz @ rectification(calibration)[0]
+    other = xyz @ calibration.R_right_left.T + calibration.t_right_left
+    return project(calibration.left, xyz), project(calibration.right, other)
+
+
+def project(eye: CameraModel, xyz: F64) -> F64:
+    distortion = np.array(eye.distortion or (0.0,) * 4)
+    return cv2.projectPoints(xyz[:, None], np.zeros(3), np.zeros(3), eye.K, distortion)[0].reshape(-1, 2)
+
+
+def write_zed(
+    rig: StereoCalibration, path: Path, mode: str = "HD", suffix: bool = True, left_out: tuple[str, ...] = ()
+) -> Path:
+    assert rig.image_size == SIZES[mode]
+    lines = []
+    for name, eye in (("LEFT", rig.left), ("RIGHT", rig.right)):
+        values = dict(zip(("k1", "k2", "p1", "p2", "k3"), eye.distortion, strict=True))
+        values |= dict(zip(("fx", "fy", "cx", "cy"), (*eye.focal_px, *eye.principal_point_px), strict=True))
+        lines += [f"[{name}_CAM_{mode}]"] + [f"{key}={value!r}" for key, value in values.items() if key not in left_out]
+    turn = cv2.Rodrigues(rig.R_right_left)[0].ravel()
+    x, y, z = 1000 * rig.t_right_left
+    end = f"_{mode}" if suffix else ""
+    lines += ["[STEREO]", f"Baseline={float(-x)!r}", f"TY{end}={float(y)!r}", f"TZ{end}={float(z)!r}"]
+    lines += [f"{key}_{mode}={float(angle)!r}" for key, angle in zip(("RX", "CV", "RZ"), turn, strict=True)]
+    path.write_text("\n".join(line for line in lines if line.partition("=")[0] not in left_out) + "\n")
+    return path
+
+
+def write_opencv(
+    rig: StereoCalibration, path: Path, names: dict[str, str] | None = None, changes: dict[str, F64] | None = None
+) -> Path:
+    entries = {
+        "M1": rig.left.K,
+        "D1": np.array([rig.left.distortion]),
+        "M2": rig.right.K,
+        "D2": np.array([rig.right.distortion]),
+        "R": rig.R_right_left,
+        "T": rig.t_right_left.reshape(3, 1),
+    } | (changes or {})
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    storage.write("image_width", rig.image_size[0])
+    storage.write("image_height", rig.image_size[1])
+    for key, value in entries.items():
+        storage.write((names or {}).get(key, key), value)
+    storage.release()
+    return path
+
+
+def write_ros(rig: StereoCalibration, folder: Path) -> Path:
+    R1, R2, P1, P2 = rectification(rig)
+    for side, eye, R, P in (("left", rig.left, R1, P1), ("right", rig.right, R2, P2)):
+        arrays = {"camera_matrix": eye.K, "rectification_matrix": R, "projection_matrix": P}
+        document = {
+            "image_width": rig.image_size[0],
+            "image_height": rig.image_size[1],
+            "distortion_model": "plumb_bob",
+            "distortion_coefficients": {"rows": 1, "cols": 5, "data": list(eye.distortion)},
+        }
+        document |= {
+            key: {"rows": 3, "cols": a.shape[1], "data": [float(x) for x in a.ravel()]} for key, a in arrays.items()
+        }
+        (folder / f"{side}.yaml").write_text(yaml.safe_dump(document))
+    return folder / "left.yaml"
+
+
+def write_kalibr(rig: StereoCalibration, path: Path, model: str = "radtan") -> Path:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = rig.R_right_left, rig.t_right_left
+    document = {}
+    for index, eye in enumerate((rig.left, rig.right)):
+        document[f"cam{index}"] = {
+            "camera_model": "pinhole",
+            "intrinsics": [*eye.focal_px, *eye.principal_point_px],
+            "distortion_model": model,
+            "distortion_coeffs": list(eye.distortion),
+            "resolution": list(rig.image_size),
+        } | ({"T_cn_cnm1": T.tolist()} if index else {})
+    path.write_text(yaml.safe_dump(document))
+    return path
+
+
+def same(one: StereoCalibration, other: StereoCalibration, tolerance: float = 0.0) -> bool:
+    """Whether two calibrations are the same rig, whatever they are called."""
+    numbers = [
+        np.concatenate(
+            [
+                np.ravel(rig.image_size),
+                np.concatenate([[*e.focal_px, *e.principal_point_px, *e.distortion] for e in (rig.left, rig.right)]),
+                rig.R_right_left.ravel(),
+                rig.t_right_left,
+                [rig.disparity_offset_px],
+            ]
+        )
+        for rig in (one, other)
+    ]
+    kinds = [(rig.images, rig.left.projection, rig.right.projection) for rig in (one, other)]
+    return (
+        kinds[0] == kinds[1]
+        and len(numbers[0]) == len(numbers[1])
+        and np.abs(numbers[0] - numbers[1]).max() <= tolerance
+    )

@@ -1,0 +1,153 @@
+"""Site files: what they mean in the camera frame, round trips, every kind of mistake."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from stereo_ore.calibration.pose import from_vector
+from stereo_ore.errors import ConfigError
+from stereo_ore.site import HandEyeRecord, load_site, save_arm, save_site
+from stereo_ore.transforms import apply, inverse
+from stereo_ore.types import Plane, Site, Volume
+
+EXAMPLE = Path(__file__).parents[1] / "calib" / "site.yaml"
+RECORD = HandEyeRecord(method="touched points", used=5, dropped=("p3",), rms_mm=4.2, max_mm=7.5)
+
+
+def write(folder: Path, text: str = "", **changes: object) -> Path:
+    """The example with changes by dotted key, or a text of its own."""
+    document = yaml.safe_load(text or EXAMPLE.read_text())
+    for key, value in changes.items():
+        *sections, leaf = key.split("__")
+        part = document
+        for section in sections:
+            part = part[section]
+        part[leaf] = value
+    path = folder / "site.yaml"
+    path.write_text(yaml.safe_dump(document))
+    return path
+
+
+def refused(path: Path) -> str:
+    with pytest.raises(ConfigError) as fault:
+        load_site(path)
+    assert "site.yaml" in str(fault.value)
+    return str(fault.value)
+
+
+def test_the_example_is_in_the_camera_frame() -> None:
+    site = load_site(EXAMPLE)
+    assert site.plane is not None
+    assert site.volume is not None
+    origin_of_arm = apply(inverse(site.T_arm_camera), [0.0, 0.0, 0.0])
+    assert site.plane.height(origin_of_arm) == pytest.approx(0, abs=1e-9)
+    assert site.plane.height([0.0, 0.0, 0.0]) == pytest.approx(2.6)
+    assert site.volume.contains(apply(inverse(site.T_arm_camera), [[0, 0, 0.5], [0, 0, 1.5]])).tolist() == [True, False]
+    assert (site.opening_m, site.bar_width_m, site.background) == (0.30, 0.075, None)
+
+
+def test_plane_and_volume_in_the_camera_frame(tmp_path: Path) -> None:
+    plane = {"frame": "camera", "normal": [0.0, 0.0, 2.0], "offset_m": 5.0}
+    box = {"frame": "camera", "min_m": [-1, -1, 1], "max_m": [1, 1, 3]}
+    site = load_site(write(tmp_path, grizzly__plane=plane, working_volume=box))
+    assert site.plane is not None
+    assert (site.plane.normal.tolist(), site.plane.offset) == ([0, 0, -1], -2.5)
+    assert np.array_equal(site.volume.T_box_camera, np.eye(4))
+
+
+def test_the_plane_may_be_auto_and_all_may_be_absent(tmp_path: Path) -> None:
+    assert load_site(write(tmp_path, grizzly__plane="auto")).plane is None
+    empty = load_site(write(tmp_path, "{format: stereo_ore/site, version: 1}"))
+    assert empty == Site()
+
+
+def test_the_background_stands_beside_the_site_file(tmp_path: Path) -> None:
+    site = load_site(write(tmp_path, background="empty.npz"))
+    assert site.background == tmp_path / "empty.npz"
+    save_site(site, tmp_path / "again.yaml")
+    assert load_site(tmp_path / "again.yaml").background == site.background
+
+
+number = st.floats(-0.6, 0.6)
+
+
+@settings(deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(turn=st.tuples(number, number, number), offset=st.floats(0.5, 4), arm=st.booleans())
+def test_written_and_read_again_is_the_same(turn, offset: float, arm: bool, tmp_path: Path) -> None:
+    T = from_vector(np.array([np.pi - 0.5 + turn[0], turn[1], turn[2], 1.0, -0.5, 3.0]))
+    normal = np.array([turn[0], turn[1], -1.0])
+    normal /= np.linalg.norm(normal)
+    box = (np.array([-5.0, -5, -5]), np.array([5.0, 5, 5]))
+    site = Site(T, Volume(T if arm else np.eye(4), *box), Plane(normal, -offset), 0.3, 0.07, None, *box)
+    save_site(site, tmp_path / "site.yaml", RECORD)
+    again = load_site(tmp_path / "site.yaml")
+    assert np.array_equal(again.T_arm_camera, T)
+    assert np.array_equal(again.volume.T_box_camera, site.volume.T_box_camera)
+    assert (again.plane.normal.tolist(), again.plane.offset) == (normal.tolist(), -offset)
+    assert (again.opening_m, again.reach_min_m.tolist()) == (0.3, box[0].tolist())
+
+
+def test_a_volume_of_another_frame_is_not_written(tmp_path: Path) -> None:
+    turned = from_vector(np.array([0.1, 0, 0, 0, 0, 0]))
+    with pytest.raises(ConfigError, match="neither"):
+        save_site(Site(volume=Volume(turned, np.zeros(3), np.ones(3))), tmp_path / "site.yaml")
+
+
+def test_a_new_arm_keeps_what_the_arm_frame_holds(tmp_path: Path) -> None:
+    old = load_site(EXAMPLE)
+    shift = from_vector(np.array([0, 0, 0, 0, 0, 0.1]))
+    save_arm(shift @ old.T_arm_camera, RECORD, tmp_path / "site.yaml", EXAMPLE)
+    new = load_site(tmp_path / "site.yaml")
+    assert new.volume.min_m.tolist() == old.volume.min_m.tolist()
+    assert new.plane.offset == pytest.approx(old.plane.offset - 0.1)
+    assert yaml.safe_load((tmp_path / "site.yaml").read_text())["hand_eye"]["rms_mm"] == 4.2
+    save_arm(old.T_arm_camera, RECORD, tmp_path / "bare.yaml")
+    assert load_site(tmp_path / "bare.yaml").volume is None
+
+
+IDENTITY = np.eye(4).tolist()
+BROKEN = {
+    "unknown key": ({"grizzly__openning_m": 0.3}, "did you mean opening_m"),
+    "unknown section": ({"camera": 1}, "camera"),
+    "no rotation": ({"arm_from_camera": (2 * np.eye(4)).tolist()}, "orthonormal"),
+    "reflection": ({"arm_from_camera": np.diag([1.0, 1, -1, 1]).tolist()}, "reflection"),
+    "last row": ({"arm_from_camera": [*IDENTITY[:3], [0, 0, 1, 1]]}, "last row"),
+    "three rows": ({"arm_from_camera": IDENTITY[:3]}, "arm_from_camera"),
+    "millimetres": ({"arm_from_camera": [[1, 0, 0, 400], [0, 1, 0, 0], [0, 0, 1, 2600], [0, 0, 0, 1]]}, "millimetres"),
+    "not a number": ({"arm_from_camera": [[float("nan"), 0, 0, 0], *IDENTITY[1:]]}, "finite"),
+    "empty box": ({"working_volume__min_m": [2, 0, 0]}, "less than"),
+    "unknown frame": ({"working_volume__frame": "world"}, "'arm' or 'camera'"),
+    "zero normal": ({"grizzly__plane__normal": [0, 0, 0]}, "zero"),
+    "no opening": ({"grizzly__opening_m": 0}, "opening_m"),
+    "opening in millimetres": ({"grizzly__opening_m": 300}, "opening_m"),
+    "true": ({"grizzly__opening_m": True}, "true or false"),
+    "plane behind the camera": ({"grizzly__plane__offset_m": 6.0}, "behind the camera"),
+    "volume behind the camera": (
+        {"working_volume": {"frame": "camera", "min_m": [-1, -1, -3], "max_m": [1, 1, -1]}},
+        "behind the camera",
+    ),
+    "volume below the plane": ({"working_volume__max_m": [1.7, 1.2, -0.1]}, "below the plane"),
+    "automatic spelled otherwise": ({"grizzly__plane": "automatic"}, "plane"),
+}
+
+
+@pytest.mark.parametrize("fault", BROKEN)
+def test_a_broken_site_is_refused_by_name(tmp_path: Path, fault: str) -> None:
+    changes, word = BROKEN[fault]
+    assert word in refused(write(tmp_path, **changes))
+
+
+def test_the_arm_frame_needs_the_arm(tmp_path: Path) -> None:
+    path = write(tmp_path, arm_from_camera=None)
+    message = refused(path)
+    assert "working_volume: is in the arm frame" in message
+    assert "grizzly.plane: is in the arm frame" in message
+
+
+def test_all_faults_are_listed_at_once(tmp_path: Path) -> None:
+    message = refused(write(tmp_path, grizzly__opening_m=-1, grizzly__colour="red", reach=3))
+    assert all(word in message for word in ("3 faults", "opening_m", "colour", "reach"))
