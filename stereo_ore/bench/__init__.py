@@ -1,0 +1,1 @@
+"""Quality and speed against baselines, as the README states them."""

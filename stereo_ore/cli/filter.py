@@ -1,0 +1,114 @@
+"""``stereo-ore filter``: the outlier filter alone, on cloud files."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from stereo_ore.errors import CloudError
+
+if TYPE_CHECKING:
+    from stereo_ore.types import FilterResult
+
+log = logging.getLogger(__name__)
+
+METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+LARGEST_M = 30.0
+"""A cloud wider than this many units is hardly in metres: then the unit is asked for."""
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verb to the command line."""
+    app.command("filter")(filter_)
+
+
+def filter_(
+    source: Annotated[Path, typer.Argument(metavar="IN", help="Cloud: .ply .pcd .xyz .txt .csv .npy .npz")],
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Kept points, any of these formats, all columns kept.")],
+    method: Annotated[
+        str, typer.Option(help="adaptive, paper, paper-tuned, statistical, radius, lof or none.")
+    ] = "adaptive",
+    settings: Annotated[list[str] | None, typer.Option("--set", help="Parameter of the method: key=value.")] = None,
+    unit: Annotated[str | None, typer.Option(help="Unit of the cloud's coordinates: m, cm or mm.")] = None,
+    scores: Annotated[Path | None, typer.Option(help="Write keep and score of each point: .npz or .csv.")] = None,
+    keep_noise: Annotated[Path | None, typer.Option(help="Write the removed points too.")] = None,
+    picture: Annotated[Path | None, typer.Option(help="Draw the outlier factors; *-kept beside it shows both.")] = None,
+) -> None:
+    """Remove noise from a point cloud.
+
+    Coordinates stay as they are in the file; its unit matters for parameters that are lengths.
+
+    Example: `stereo-ore filter scan.ply clean.ply --method adaptive --keep-noise noise.ply --picture factors.png`
+    """
+    from stereo_ore import cloud_io, filters
+    from stereo_ore.config.loader import load_config
+
+    config = load_config(
+        None, [f"filter.method={method}", *(f"filter.params.{text}" for text in settings or [])]
+    ).filter
+    filters.parameters(config)
+    for path in (out, keep_noise, scores):
+        if path:
+            cloud_io.format_of(path)
+    records = cloud_io.read(source)
+    xyz = cloud_io.xyz(records)
+    result = filters.apply(_voxels(xyz * _metres(source, xyz, unit)), config)
+    cloud_io.write(out, records[result.keep])
+    if keep_noise:
+        cloud_io.write(keep_noise, records[~result.keep])
+    if scores:
+        cloud_io.write(scores, cloud_io.from_columns({"keep": result.keep, "score": result.score}))
+    if picture:
+        _draw(xyz, result, picture)
+    _report(result)
+
+
+def _metres(source: Path, xyz: Any, unit: str | None) -> float:
+    """Metres a unit; asks when the extent makes metres unlikely, and never guesses."""
+    import numpy as np
+
+    if unit is not None:
+        if unit not in METRES:
+            raise CloudError(f"{unit!r} is no unit of length known here", key="--unit", remedy="Use m, cm or mm")
+        return METRES[unit]
+    finite = xyz[np.isfinite(xyz).all(1)]
+    width = float(np.ptp(np.quantile(finite, (0.01, 0.99), axis=0), axis=0).max()) if len(finite) else 0.0
+    if width > LARGEST_M:
+        remedy = "Say --unit mm (or --unit m if it is that large)"
+        raise CloudError(f"the cloud is {width:,.0f} units wide: are they millimetres?", file=source, remedy=remedy)
+    return METRES["m"]
+
+
+def _voxels(xyz: Any) -> Any:
+    """The cloud about its own middle, so that float32 loses nothing to a far origin."""
+    import numpy as np
+
+    from stereo_ore.types import VoxelCloud
+
+    finite = np.isfinite(xyz).all(1)
+    middle = np.median(xyz[finite], axis=0) if finite.any() else np.zeros(3)
+    with np.errstate(over="ignore"):
+        points = (xyz - middle).astype(np.float32)
+    zero, rows = np.zeros(len(points), np.float32), np.arange(len(points), dtype=np.int32)
+    return VoxelCloud(points, np.ones(len(points), np.int32), rows, 0.0, zero, zero)
+
+
+def _draw(xyz: Any, result: FilterResult, picture: Path) -> None:
+    from stereo_ore import pictures
+
+    pictures.outlier_factors(xyz, result.score, picture)
+    kept = picture.with_name(f"{picture.stem}-kept{picture.suffix}")
+    pictures.side_by_side(xyz, {str(result.diagnostics["method"]): result.keep}, kept)
+
+
+def _report(result: FilterResult) -> None:
+    d = result.diagnostics
+    removed = d["points"] - d["kept"]
+    share = 100 * removed / max(d["points"], 1)
+    log.info("%s: %s of %s points removed (%.1f %%)", d["method"], f"{removed:,}", f"{d['points']:,}", share)
+    for key, words in (("not_finite", "rows without finite coordinates"), ("duplicates", "points at the same place")):
+        if d[key]:
+            log.info("%s %s", f"{d[key]:,}", words)
