@@ -62,7 +62,7 @@ def _harden(spec: SceneSpec, rng: np.random.Generator) -> SceneSpec:
         dark = replace(spec.sensor, full_well=float(rng.uniform(300, 900)), exposure=0.6)
         return replace(spec, sensor=dark)
     if kind == 1:
-        return replace(spec, haze_per_m=float(rng.uniform(0.12, 0.3)))
+        return replace(spec, haze_per_m=float(rng.uniform(0.06, 0.2)))
     x, y = rng.uniform(-3, 3, 2)
     lamp = Light(_times(WARM, 1.1), position=(float(x), float(y), 3.4), radius=0.5)
     return replace(spec, wet=1.0, lights=(lamp,), sky=SHADE)

@@ -67,7 +67,7 @@ def sky_light(points: Points, rgb: tuple[float, float, float]) -> tuple[F32, F32
     upward = 0.6 + 0.4 * points.bent[:, 2:]
     diffuse = sky * ((INDIRECT + (1 - INDIRECT) * points.open_sky) * upward)
     mirrored = 0.25 * sky * (points.mirrored[:, 2:].clip(0, 1) * points.open_sky)
-    return diffuse, mirrored
+    return np.asarray(diffuse, np.float32), np.asarray(mirrored, np.float32)
 
 
 def lamp_light(points: Points, lamp: Light, caster: RayCaster, R_screen_world: F64, k: int) -> tuple[F32, F32]:

@@ -99,23 +99,47 @@ def _small_rotations(rng: np.random.Generator, angle: float, count: int) -> F64:
     return np.eye(3) + np.sin(a) * K + (1 - np.cos(a)) * (K @ K)
 
 
+def supported(mesh: Mesh, field: HeightField, R: F64, t: F64) -> bool:
+    """Whether the centre of mass lies over the hull of the points that touch the field, within 3 % of the size.
+
+    The hull is tested by its reach in 16 directions from the centre.
+    """
+    points = mesh.vertices @ R.T + t
+    size = float(np.ptp(points, axis=0).max())
+    gap = points[:, 2] - field.at(points[:, :2])
+    angle = np.arange(16) * np.pi / 8
+    reach = (points[gap < 0.03 * size, :2] - t[:2]) @ np.stack([np.cos(angle), np.sin(angle)])
+    return bool((reach.max(0, initial=-np.inf) > -0.03 * size).all())
+
+
 def pile(
     meshes: Sequence[Mesh], field: HeightField, spread: tuple[float, float], rng: np.random.Generator, sink_m: float
 ) -> list[tuple[int, F64, F64]]:
     """Index and rest pose (R, t) of meshes laid one after another within |x|, |y| ≤ spread; the field grows with them.
 
-    A body that falls between the bars, its centre lower than `sink_m` above them, or that rolls off the screen is
-    dropped again; one that does so six times is left out.
+    A body that rolls off the screen, falls between the bars (its centre lower than `sink_m` above them) or finds no
+    support is dropped again; one that does so six times is left out.
     """
     poses = []
     for index, mesh in enumerate(meshes):
         for _ in range(6):
-            R, t = settle(mesh, field, _flat_rotation(rng), _spot(mesh, field, spread, rng), rng)
-            if (np.abs(t[:2]) <= np.array(spread)).all() and t[2] > sink_m:
+            R, t = _come_to_rest(mesh, field, _flat_rotation(rng), _spot(mesh, field, spread, rng), rng)
+            inside = bool((np.abs(t[:2]) <= np.array(spread)).all())
+            if inside and t[2] > sink_m and supported(mesh, field, R, t):
                 field.add(mesh.moved(R, t))
                 poses.append((index, R, t))
                 break
     return poses
+
+
+def _come_to_rest(mesh: Mesh, field: HeightField, R: F64, xy: F64, rng: np.random.Generator) -> tuple[F64, F64]:
+    """Settle, and settle on from there, up to four times, while the body finds no support."""
+    for _ in range(4):
+        R, t = settle(mesh, field, R, xy, rng)
+        xy = t[:2]
+        if supported(mesh, field, R, t):
+            break
+    return R, t
 
 
 def _spot(mesh: Mesh, field: HeightField, spread: tuple[float, float], rng: np.random.Generator) -> F64:
