@@ -37,12 +37,12 @@ def outlier_factors(xyz: Array, score: Array, path: Path) -> None:
     low, high = np.quantile(finite, (0.5, 0.995)) if len(finite) else (0.0, 1.0)
     size = np.clip((finite - low) / max(high - low, 1e-12), 0, 1)
     across, up = _view(xyz)
-    figure, (axes,) = _panels(1)
+    figure, (axes,) = panels(1)
     axes.scatter(xyz[rows, across], xyz[rows, up], s=0.5, c=SURFACE, linewidths=0)
     circles = {"s": size * LARGEST_CIRCLE, "facecolors": "none", "edgecolors": NOISE, "linewidths": 0.5}
     axes.scatter(xyz[rows, across], xyz[rows, up], **circles)
     axes.set_title("outlier factor: the larger the circle, the more likely noise")
-    _save(figure, path)
+    save(figure, path)
 
 
 def side_by_side(xyz: Array, keeps: Mapping[str, Mask], path: Path) -> None:
@@ -59,12 +59,12 @@ def side_by_side(xyz: Array, keeps: Mapping[str, Mask], path: Path) -> None:
     """
     rows = _shown(xyz)
     across, up = _view(xyz)
-    figure, panels = _panels(len(keeps))
-    for axes, (title, keep) in zip(panels, keeps.items(), strict=True):
+    figure, all_axes = panels(len(keeps))
+    for axes, (title, keep) in zip(all_axes, keeps.items(), strict=True):
         colours = np.where(keep[rows], SURFACE, NOISE)
         axes.scatter(xyz[rows, across], xyz[rows, up], s=np.where(keep[rows], 0.5, 2.0), c=colours, linewidths=0)
         axes.set_title(f"{title}: {int((~keep).sum()):,} of {len(keep):,} removed")
-    _save(figure, path)
+    save(figure, path)
 
 
 def _shown(xyz: Array) -> npt.NDArray[np.int64]:
@@ -81,7 +81,14 @@ def _view(xyz: Array) -> tuple[int, int]:
     return across, up
 
 
-def _panels(count: int) -> tuple[Any, list[Any]]:
+def panels(count: int, maps: bool = True) -> tuple[Any, list[Any]]:
+    """A figure and its axes; those of maps have equal scales and no frame.
+
+    Raises
+    ------
+    MissingExtraError
+        When matplotlib is not installed.
+    """
     try:
         from matplotlib.figure import Figure
     except ImportError:
@@ -89,14 +96,22 @@ def _panels(count: int) -> tuple[Any, list[Any]]:
     columns = min(count, 3)
     lines = -(-count // columns)
     figure = Figure(figsize=(5 * columns, 5.5 * lines), dpi=130, layout="constrained")
-    panels = list(figure.subplots(lines, columns, squeeze=False).ravel())
-    for axes in panels:
-        axes.set_aspect("equal")
+    all_axes = list(figure.subplots(lines, columns, squeeze=False).ravel())
+    for axes in all_axes if maps else all_axes[count:]:
         axes.set_axis_off()
-    return figure, panels[:count]
+    for axes in all_axes if maps else ():
+        axes.set_aspect("equal")
+    return figure, all_axes[:count]
 
 
-def _save(figure: Any, path: Path) -> None:
+def save(figure: Any, path: Path) -> None:
+    """Write a figure in the format its name says.
+
+    Raises
+    ------
+    OutputError
+        When it can't be written.
+    """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path)

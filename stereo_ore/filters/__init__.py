@@ -95,6 +95,12 @@ def apply(voxels: VoxelCloud, config: FilterConfig) -> FilterResult:
     return FilterResult(keep, score, counts | {"kept": int(keep.sum())} | settings | dict(result.diagnostics))
 
 
+def prepared(voxels: VoxelCloud) -> tuple[VoxelCloud, npt.NDArray[np.int64]]:
+    """The finite, distinct points in the order in which a method sees them, and their rows."""
+    _, first, _ = _distinct(voxels.xyz, np.asarray(np.isfinite(voxels.xyz).all(axis=1)))
+    return _take(voxels, first), first
+
+
 def _distinct(xyz: F32, finite: Mask) -> tuple[npt.NDArray[np.int64], ...]:
     """Finite rows in a spatially coherent order, the first row of each place, and the place of each ordered row."""
     rows = np.flatnonzero(finite)

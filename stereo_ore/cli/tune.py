@@ -1,0 +1,102 @@
+"""``stereo-ore tune``: find a filter's parameters on clouds whose noise is known, or train its scorer."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from stereo_ore.errors import ConfigError
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+    from stereo_ore.bench.labelled import LabelledCloud
+
+log = logging.getLogger(__name__)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verb to the command line."""
+    app.command()(tune)
+
+
+def tune(
+    out: Annotated[Path, typer.Argument(help="Folder for config.yaml and cost.png, or for the trained scorer.")],
+    method: Annotated[str, typer.Option(help="paper, adaptive, statistical, radius or lof.")] = "paper",
+    cloud: Annotated[
+        list[Path] | None, typer.Option(help="Labelled cloud [m] with a column noise; else synthetic ones.")
+    ] = None,
+    seeds: Annotated[int, typer.Option(min=1, max=500, help="Seeds of synthetic clouds, from 100 on.")] = 2,
+    cost: Annotated[Path | None, typer.Option(help="YAML: weights of precision, recall and retention.")] = None,
+    train: Annotated[
+        str | None, typer.Option(help="geometry or stereo: train adaptive's scorer instead (minutes).")
+    ] = None,
+) -> None:
+    """Find the parameters with the least cost, the weighted mean of 1 − P_r, 1 − Recall and 1 − Retain.
+
+    Synthetic clouds for tuning have seeds from 100 on; `bench filter` reports on seeds below that.
+
+    Example: `stereo-ore tune tuned --method paper` then `stereo-ore run … --config tuned/config.yaml`
+    """
+    if train:
+        _train(out, train, seeds)
+    else:
+        _search(out, method, cloud or [], seeds, cost)
+
+
+def _search(out: Path, method: str, files: list[Path], seeds: int, cost: Path | None) -> None:
+    import yaml
+
+    from stereo_ore import tune as tuning
+    from stereo_ore.bench import labelled
+    from stereo_ore.config.loader import validate
+    from stereo_ore.yaml_io import load_yaml
+
+    weights = validate(tuning.CostWeights, load_yaml(cost, ConfigError) if cost else {}, cost or "cost", ConfigError)
+    start = labelled.TUNING_SEED
+    made = [] if files else labelled.paper_clouds(range(start, start + seeds))
+    clouds = [*map(labelled.labelled_file, files), *made]
+    with _progress() as progress:
+        task = progress.add_task(f"tune {method}", total=None)
+        tuned = tuning.search(method, clouds, weights, lambda: progress.advance(task))
+    out.mkdir(parents=True, exist_ok=True)
+    text = yaml.safe_dump(tuned.config(), sort_keys=False)
+    (out / "config.yaml").write_text(text, encoding="utf-8")
+    tuning.plot(tuned, out / "cost.png")
+    log.info("cost %.4f on %d clouds; %s", tuned.cost, len(clouds), out / "config.yaml")
+    typer.echo(text, nl=False)
+
+
+def _train(out: Path, kind: str, seeds: int) -> None:
+    from stereo_ore import training
+    from stereo_ore.bench.labelled import TUNING_SEED
+
+    if kind not in ("geometry", "stereo"):
+        raise ConfigError(f"{kind!r} is no scorer", key="--train", remedy="Use geometry or stereo")
+    wanted = range(TUNING_SEED, TUNING_SEED + seeds)
+    stereo = kind == "stereo"
+    source = training.stereo_clouds(wanted) if stereo else training.geometry_clouds(wanted)
+    clouds = list(_watched(source, seeds if stereo else 15 * seeds))
+    scorer = training.train(clouds, training.STEREO_SAMPLE if stereo else training.SAMPLE)
+    out.mkdir(parents=True, exist_ok=True)
+    path = out / f"{kind}.json"
+    path.write_text(scorer.to_json(), encoding="utf-8")
+    typer.echo(path)
+
+
+def _watched(clouds: Iterator[LabelledCloud], total: int) -> Iterator[LabelledCloud]:
+    with _progress() as progress:
+        yield from progress.track(clouds, total=total, description="clouds")
+
+
+def _progress() -> Progress:
+    from rich.console import Console
+    from rich.progress import Progress
+
+    shown = sys.stderr.isatty() and log.isEnabledFor(logging.INFO)
+    return Progress(console=Console(stderr=True), disable=not shown)

@@ -1,0 +1,112 @@
+"""Training of the adaptive filter's scorers on labelled clouds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from stereo_ore import filters
+from stereo_ore.bench.labelled import DIRECTIONS, LabelledCloud, bare_cloud, made_stereo, paper_clouds
+from stereo_ore.config.filters import AdaptiveParams
+from stereo_ore.filters.evidence import SURFACE_FEATURES, Evidence, features, gather
+from stereo_ore.filters.scorer import Network, Scorer
+from stereo_ore.synth import paper_cloud
+from stereo_ore.types import F32, Mask
+
+PASSES, HIDDEN = 3, 20
+SAMPLE = 5000
+"""Points of each cloud that a network learns from."""
+
+STEREO_SAMPLE = 25_000
+EPOCHS = 14
+FAMILIES = ("large", "paper", "hard", "large", "raw", "paper")
+Progress = Callable[[Iterator[LabelledCloud], int], Iterator[LabelledCloud]]
+
+
+def geometry_clouds(seeds: range) -> Iterator[LabelledCloud]:
+    """The paper's protocol, and as many clouds again, each with other spacing, roughness, share and offsets."""
+    for seed in seeds:
+        yield from paper_clouds(range(seed, seed + 1))
+        for variant in range(6):
+            yield _varied(seed, variant)
+
+
+def _varied(seed: int, variant: int) -> LabelledCloud:
+    """A thinned, roughened and sometimes voxelised cloud, so that the scorer does not learn one scanner's pattern."""
+    rng = np.random.default_rng([seed, variant])
+    share, least = float(rng.uniform(0.03, 0.6)), float(rng.choice([0, 0.008, 0.012]))
+    xyz, noise = paper_cloud(seed, DIRECTIONS[variant % 3], share, least)
+    kept = rng.random(len(xyz)) < rng.uniform(0.35, 1)
+    xyz, noise = xyz[kept], noise[kept]
+    xyz = xyz + rng.normal(size=xyz.shape) * rng.uniform(0, 0.0012)
+    if rng.random() < 0.4:
+        xyz, noise = _voxelised(xyz, noise, rng.uniform(0.004, 0.007))
+    return LabelledCloud(f"varied {seed}.{variant}", "varied", bare_cloud(xyz), noise)
+
+
+def _voxelised(xyz: npt.NDArray[np.float64], noise: Mask, size: float) -> tuple[npt.NDArray[np.float64], Mask]:
+    _, inverse, count = np.unique(np.floor(xyz / size), axis=0, return_inverse=True, return_counts=True)
+    inverse = inverse.ravel()
+    means = np.stack([np.bincount(inverse, xyz[:, axis]) / count for axis in range(3)], 1)
+    return means, np.bincount(inverse, noise) / count > 0.5
+
+
+def stereo_clouds(seeds: range) -> Iterator[LabelledCloud]:
+    """Synthetic scenes of all families in turn, every fifth at HD1080."""
+    for n, seed in enumerate(seeds):
+        yield made_stereo(seed, FAMILIES[n % len(FAMILIES)], "HD1080" if n % 5 == 4 else "HD720")
+
+
+def train(clouds: Sequence[LabelledCloud], sample: int = SAMPLE, seed: int = 0) -> Scorer:
+    """Fit the networks of successive passes, each to what the passes before it left.
+
+    Parameters
+    ----------
+    clouds : sequence of LabelledCloud
+        All with cues, or all without.
+    sample : int
+        Points of each cloud to learn from.
+    seed : int
+        Of the sample and of the networks' start.
+    """
+    rng = np.random.default_rng(seed)
+    evidence, labels = zip(*(_prepare(labelled) for labelled in clouds), strict=True)
+    chosen = [rng.permutation(len(label))[:sample] for label in labels]
+    truth = np.concatenate([label[rows] for label, rows in zip(labels, chosen, strict=True)])
+    noise = [e.prior for e in evidence]
+    networks: list[Network] = []
+    for _ in range(PASSES):
+        seen = [features(e, p) for e, p in zip(evidence, noise, strict=True)]
+        examples = np.concatenate([f[rows] for f, rows in zip(seen, chosen, strict=True)])
+        networks.append(_fit(examples, truth, seed))
+        noise = [networks[-1].probability(f) for f in seen]
+    return Scorer([*evidence[0].names, *SURFACE_FEATURES], networks)
+
+
+def _prepare(labelled: LabelledCloud) -> tuple[Evidence, Mask]:
+    voxels, rows = filters.prepared(labelled.voxels)
+    return gather(voxels, AdaptiveParams().k), labelled.is_noise[rows]
+
+
+def _fit(examples: F32, truth: Mask, seed: int) -> Network:
+    import warnings
+
+    from sklearn.exceptions import ConvergenceWarning
+    from sklearn.neural_network import MLPClassifier
+
+    mean, scale = examples.mean(0, dtype=np.float64), examples.std(0, dtype=np.float64) + 1e-9
+    network = MLPClassifier((HIDDEN,), max_iter=EPOCHS, batch_size=1000, learning_rate_init=4e-3, random_state=seed)
+    with warnings.catch_warnings():
+        # A fixed number of epochs is meant.
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        network.fit((examples - mean) / scale, truth)
+    (inner, outer), (bias, offset) = network.coefs_, network.intercepts_
+    rounded = [_round(mean), _round(scale), [_round(row) for row in inner], _round(bias), _round(outer[:, 0])]
+    return Network(*rounded, output_bias=_round(offset)[0])
+
+
+def _round(values: npt.NDArray[np.float64]) -> list[float]:
+    """Five significant figures: readable, and more than the decision needs."""
+    return [float(f"{value:.5g}") for value in values]
