@@ -107,7 +107,7 @@ def check_pair(pair: StereoPair, calibration: StereoCalibration, known: Sequence
     residual = _residual(matches, calibration)
     rectified = rectify(pair, make_rectifier(calibration))
     measured = tuple(_measure(point, rectified, calibration) for point in known)
-    findings = [*_row_findings(residual, matches, calibration, rectified.rig), *_offset_findings(measured)]
+    findings = [*_row_findings(residual, matches, calibration, rectified.rig), *offset_findings(measured)]
     return CheckResult(residual, tuple(findings), measured, rectified.rig)
 
 
@@ -214,7 +214,8 @@ def patch_disparity(left: U8, right: U8, at: F64, rows: int = 2) -> float | None
     return u - _PATCH - (best + step)
 
 
-def _offset_findings(measured: Sequence[Measured]) -> Iterator[Finding]:
+def offset_findings(measured: Sequence[Measured]) -> Iterator[Finding]:
+    """A constant offset of the disparities or, where the distances differ enough, a wrong scale."""
     if not measured:
         return
     offset = float(np.median([point.offset_px for point in measured]))

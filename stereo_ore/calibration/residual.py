@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from stereo_ore.types import F64, U8, Mask, Rig
 
@@ -98,9 +97,8 @@ def match_features(left: U8, right: U8) -> tuple[F64, F64]:
     return px_left, px_right
 
 
-def residual_of_matches(left: npt.ArrayLike, right: npt.ArrayLike, rig: Rig) -> RowResidual:
+def residual_of_matches(left: F64, right: F64, rig: Rig) -> RowResidual:
     """Row differences of given matches (N, 2) in rectified images; wrong matches among them are found out."""
-    left, right = np.asarray(left, np.float64), np.asarray(right, np.float64)
     sound = np.isfinite(left).all(1) & np.isfinite(right).all(1)
     left, right = left[sound], right[sound]
     rows, basis = right[:, 1] - left[:, 1], _basis(left, right, rig)
