@@ -44,6 +44,9 @@ def run(
     left_topic: Annotated[str | None, typer.Option(help="Left image topic of a bag.")] = None,
     right_topic: Annotated[str | None, typer.Option(help="Right image topic of a bag.")] = None,
     max_skew_ms: Annotated[float, typer.Option(min=0, help="Largest difference of stamps in a bag's pair.")] = 5.0,
+    report: Annotated[
+        bool, typer.Option("--report/--no-report", help="Check the calibration, write report.html.")
+    ] = True,
     save_stages: Annotated[bool, typer.Option("--save-stages", help="Also write stages/<frame>.npz.")] = False,
     start: Annotated[int, typer.Option(min=0, help="First frame, counted from 0.")] = 0,
     stop: Annotated[int | None, typer.Option(min=0, help="Frame to stop before.")] = None,
@@ -82,6 +85,8 @@ def run(
                 folder.add(lines)
                 advance()
         folder.finish()
+    if report:
+        _report(out, recording, indices, calibration)
     _summarise(out)
 
 
@@ -167,6 +172,16 @@ def _write_inputs(out: Path, context: Context, site: Path | None) -> None:
     write_text(out / "calibration.yaml", dump(context.calibration))
     if site:
         write_bytes(out / "site.yaml", site.read_bytes())
+
+
+def _report(out: Path, recording: Source, indices: range, calibration: StereoCalibration) -> None:
+    from stereo_ore.report import write_report
+    from stereo_ore.report.calibration import write_check
+
+    check = write_check(out, recording, indices, calibration)
+    for finding in check["findings"] if check else ():
+        log.warning("calibration %s: %s", finding["severity"], finding["text"])
+    write_report(out)
 
 
 @contextmanager

@@ -1,0 +1,133 @@
+"""The folder that a run has written, read back: records, timings, clouds, overlays, stages, inputs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stereo_ore import calibration, cloud_io
+from stereo_ore.config import Config, load_config
+from stereo_ore.errors import SourceError
+from stereo_ore.record import SCHEMA
+from stereo_ore.rectify import make_rectifier
+from stereo_ore.site import load_site
+from stereo_ore.types import Rig, Site
+
+Json = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Results:
+    """A run's folder; an unfinished run is read as far as it goes, and what a frame does not have is None."""
+
+    folder: Path
+
+    @cached_property
+    def records(self) -> tuple[Json, ...]:
+        """The records of all frames.
+
+        Raises
+        ------
+        SourceError
+            When there are none, or a line is no record.
+        """
+        file = self._lines("frames")
+        if file is None:
+            raise SourceError("holds no frames.jsonl", file=self.folder, remedy="Name the --out folder of a run")
+        records = tuple(_objects(file))
+        for number, record in enumerate(records, 1):
+            if record.get("schema") != SCHEMA:
+                raise SourceError(f"line {number} is no record of {SCHEMA}", file=file, remedy="Repeat the run")
+        return records
+
+    @cached_property
+    def timings(self) -> Mapping[str, Json]:
+        """Milliseconds of each frame's stages, by the frame's name."""
+        file = self._lines("timings")
+        return {entry["frame"]: entry for entry in _objects(file)} if file else {}
+
+    @cached_property
+    def run(self) -> Json:
+        """What ``run.json`` says; empty without one."""
+        return self._object("run.json") or {}
+
+    @cached_property
+    def calibration_check(self) -> Json | None:
+        """The verdict on the calibration by the run's own images."""
+        return self._object("calibration_check.json")
+
+    @property
+    def finished(self) -> bool:
+        """Whether the run came to its end."""
+        return bool(self.run.get("finished"))
+
+    @cached_property
+    def site(self) -> Site:
+        """The site that the run was made with."""
+        file = self.folder / "site.yaml"
+        return load_site(file) if file.is_file() else Site()
+
+    @cached_property
+    def config(self) -> Config:
+        """The resolved parameters."""
+        file = self.folder / "config.yaml"
+        return load_config(file if file.is_file() else None, ())
+
+    @cached_property
+    def rig(self) -> Rig | None:
+        """Geometry of the rectified images."""
+        file = self.folder / "calibration.yaml"
+        return make_rectifier(calibration.load(file)).rig if file.is_file() else None
+
+    def text(self, name: str) -> str | None:
+        """A text file of the folder."""
+        file = self.folder / name
+        return file.read_text(encoding="utf-8", errors="replace") if file.is_file() else None
+
+    def overlay(self, frame: str) -> Path | None:
+        """The overlay of a frame."""
+        return _existing(self.folder / "overlays" / f"{frame}.png")
+
+    def cloud(self, frame: str) -> cloud_io.Records | None:
+        """The filtered cloud of a frame: x y z [m], red green blue, ore_id, score."""
+        file = _existing(self.folder / "clouds" / f"{frame}.ply")
+        return cloud_io.read(file) if file else None
+
+    def stages(self, frame: str) -> Mapping[str, npt.NDArray[Any]] | None:
+        """The arrays that `run --save-stages` keeps of a frame."""
+        file = _existing(self.folder / "stages" / f"{frame}.npz")
+        if file is None:
+            return None
+        with np.load(file, allow_pickle=False) as arrays:
+            return dict(arrays)
+
+    def _object(self, name: str) -> Json | None:
+        file = _existing(self.folder / name)
+        return next(_objects(file, whole=True)) if file else None
+
+    def _lines(self, name: str) -> Path | None:
+        return _existing(self.folder / f"{name}.jsonl") or _existing(self.folder / f"{name}.jsonl.part")
+
+
+def _existing(file: Path) -> Path | None:
+    return file if file.is_file() else None
+
+
+def _objects(file: Path, whole: bool = False) -> Iterator[Json]:
+    """The JSON objects of a file: one a line, a last line that is cut off left out; or one of the whole file."""
+    text = file.read_text(encoding="utf-8", errors="replace")
+    for number, part in enumerate([text] if whole else text.split("\n")[:-1], 1):
+        try:
+            value = json.loads(part)
+        except ValueError:
+            value = None
+        if not isinstance(value, dict):
+            raise SourceError(f"line {number} is no JSON object", file=file, remedy="Repeat the run")
+        yield value
