@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from stereo_ore.config.models import OrderConfig
-from stereo_ore.types import Site, Solid, StrikePlan
+from stereo_ore.transforms import apply
+from stereo_ore.types import F64, Site, Solid, StrikePlan
 
 
 def order(
@@ -15,14 +16,38 @@ def order(
 ) -> tuple[int, ...]:
     """Ids of the lumps that can be struck, best first.
 
-    Oversize lumps come first, then those of unknown size; among equals the higher the strike's score, and the lower
-    id at a tie.
+    Each gets a sum: oversize (half when unknown), height of its strike among the others', its strike's score, less
+    the arm's way to it from the middle of its reach when that is known. Sums are rounded to the configured resolution
+    so that noise does not reorder equals; the lower id goes first among them.
     """
     ids = [i for i, plan in enumerate(plans, 1) if plan.strikes]
-    urgency = {True: 0, None: 1, False: 2}
+    if not ids:
+        return ()
+    best = [plans[i - 1].strikes[0] for i in ids]
+    points = np.array([strike.point for strike in best])
+    up = site.plane.normal if site.plane is not None else -np.mean([strike.direction for strike in best], 0)
+    total = (
+        config.oversize_weight * np.array([_urgency(solids[i - 1]) for i in ids])
+        + config.height_weight * _over_largest(points @ up - (points @ up).min())
+        + config.strike_weight * np.array([strike.score for strike in best])
+        - config.travel_weight * _over_largest(_way(points, site))
+    )
+    rank = np.round(total / config.resolution).astype(int)
+    return tuple(i for _, i in sorted(zip((-rank).tolist(), ids, strict=True)))
 
-    def key(i: int) -> tuple[int, float, int]:
-        solid = solids[i - 1]
-        return urgency[solid.oversize if solid else None], -np.round(plans[i - 1].strikes[0].score, 6), i
 
-    return tuple(sorted(ids, key=key))
+def _urgency(solid: Solid | None) -> float:
+    oversize = solid.oversize if solid else None
+    return 0.5 if oversize is None else float(oversize)
+
+
+def _way(points: F64, site: Site) -> F64:
+    """Distance (N,) [m] of points from the middle of the arm's reach; zero when no reach is given."""
+    if site.T_arm_camera is None or site.reach_min_m is None or site.reach_max_m is None:
+        return np.zeros(len(points))
+    middle = 0.5 * (site.reach_min_m + site.reach_max_m)
+    return np.asarray(np.linalg.norm(apply(site.T_arm_camera, points) - middle, axis=1))
+
+
+def _over_largest(values: F64) -> F64:
+    return np.asarray(values / max(float(values.max()), 1e-9))

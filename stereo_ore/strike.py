@@ -7,9 +7,43 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy.ndimage import find_objects
 
 from stereo_ore.config.models import StrikeConfig
-from stereo_ore.types import F64, Grizzly, Mask, OreMap, Reason, Rig, Site, Solid, Strike, StrikePlan, Surface
+from stereo_ore.planes import PlaneField, crop_rig, fit_planes
+from stereo_ore.transforms import apply
+from stereo_ore.types import (
+    F64,
+    I16,
+    Grizzly,
+    Mask,
+    OreMap,
+    Plane,
+    Reason,
+    Rig,
+    Site,
+    Solid,
+    Strike,
+    StrikePlan,
+    Surface,
+)
+
+PATCH_PIXELS = 6000
+"""Larger lumps are searched with a stride, for time."""
+NOISE_SPREAD = 2.0
+"""How much neighbouring pixels' common errors raise a plane's tilt over that from independent ones."""
+NORMAL_SIGMA = 0.07
+"""Tilt error [rad] wanted of a fitted plane; the window grows until noise allows it."""
+LARGEST_WINDOW = 0.35
+"""Largest side of the window as share of the lump's."""
+CRITERIA = {
+    "UNCERTAIN_DEPTH": "no patch of the tool's size is measured well enough",
+    "NEAR_EDGE": "no place keeps the clearance from the lump's edge, its neighbours and the bars",
+    "TOO_SMALL_PATCH": "no patch of the tool's diameter is flat enough",
+    "TOO_STEEP": "no face within the permitted angle of the tool's axis",
+    "OUT_OF_REACH": "no admissible face within the arm's reach",
+}
+"""What a place must satisfy, in the order of the tests; the first that nothing passes is the reason."""
 
 
 def plans(
@@ -20,71 +54,140 @@ def plans(
     site: Site,
     config: StrikeConfig,
 ) -> tuple[StrikePlan, ...]:
-    """The strikes of every lump, best first; entry i belongs to id i + 1."""
+    """Choose the strikes of every lump.
+
+    A place is admissible when a patch of the tool's diameter around it is measured, flat, facing within the permitted
+    angle of the tool's axis (the screen's normal), away from edges, neighbours and bars, and within reach. The best is
+    flat, faces the tool and lies near the normal through the centre of gravity.
+
+    Returns
+    -------
+    tuple
+        Entry i belongs to id i + 1: strikes best first, or none and the reason, a key of `CRITERIA`.
+    """
     h, w = surface.sigma_z.shape
     labels = ore_map.labels[surface.y0 : surface.y0 + h, surface.x0 : surface.x0 + w]
-    up = grizzly.plane.normal
-    return tuple(_plan(surface, labels == i + 1, solid, up, config) for i, solid in enumerate(solids))
+    boxes = find_objects(labels, max_label=len(solids)) if solids else []
+    return tuple(
+        _plan(_patches(surface, labels, box, number, config), solid, grizzly.plane, site, config)
+        if solid and box
+        else _none("UNCERTAIN_DEPTH")
+        for number, (solid, box) in enumerate(zip(solids, boxes, strict=True), 1)
+    )
 
 
 @dataclass(frozen=True)
-class Faces:
-    """Planes fitted around every pixel: depth (h, w) [m], unit normal (h, w, 3), rms (h, w) [m], share (h, w)."""
+class Patches:
+    """Planes around the pixels of a lump's crop, points on them, distance to the edge, expected depth noise [m]."""
 
-    depth: F64
-    normal: F64
-    rms: F64
-    share: F64
+    field: PlaneField
+    xyz: F64
+    seen: Mask
+    edge_m: F64
+    sigma_z: F64
 
 
-def fit_faces(inverse_depth: F64, mask: Mask, side: int, rig: Rig, x0: int, y0: int) -> Faces:
-    """Plane around every pixel by regression of inverse depth, which is linear in the pixel on a plane.
+def _patches(
+    surface: Surface, labels: I16, box: tuple[slice, ...], number: int, config: StrikeConfig
+) -> Patches | None:
+    stride = max(1, int(np.sqrt((labels[box] == number).sum() / PATCH_PIXELS)))
+    rows, columns = (slice(s.start, s.stop, stride) for s in box)
+    lump, z = labels[rows, columns] == number, surface.xyz[rows, columns, 2].astype(np.float64)
+    seen = lump & np.isfinite(z)
+    if not seen.any():
+        return None
+    rig = crop_rig(surface.rig, surface.x0 + columns.start, surface.y0 + rows.start, stride)
+    sigma_z = surface.sigma_z[rows, columns].astype(np.float64)
+    side = _window(float(np.median(z[seen])), float(np.median(sigma_z[seen])), int(lump.sum()), rig, config)
+    field = fit_planes(z, seen, side, rig)
+    padded = np.pad(lump, 1).astype(np.uint8)
+    edge_px = cv2.distanceTransform(padded, cv2.DIST_L2, 3)[1:-1, 1:-1].astype(np.float64)
+    u, v = np.meshgrid(np.arange(lump.shape[1]), np.arange(lump.shape[0]))
+    return Patches(field, rig.back_project(u, v, field.depth), seen, edge_px * field.depth / rig.fx, sigma_z)
 
-    1/z = a·u + b·v + c gives the normal −(a·fx, b·fy, c + a·cx + b·cy) up to scale.
+
+def _window(z_m: float, sigma_z: float, pixels: int, rig: Rig, config: StrikeConfig) -> int:
+    """Odd side [px] of the fitted window: the tool's diameter, or more where noise demands it.
+
+    A slope fitted to n × n points of spacing p and noise σ has the standard deviation √12·σ/(n²·p).
     """
-    h, w = mask.shape
-    m = mask.astype(np.float64)
-    q = np.where(mask, inverse_depth, 0.0)
-    u = np.broadcast_to(np.arange(w) - 0.5 * w, (h, w))
-    v = np.broadcast_to((np.arange(h) - 0.5 * h)[:, None], (h, w))
-
-    def mean(x: F64) -> F64:
-        return np.asarray(cv2.boxFilter(x, -1, (side, side), normalize=True, borderType=cv2.BORDER_CONSTANT))
-
-    n = np.maximum(mean(m), 1e-12)
-    mu, mv, mq = mean(m * u) / n, mean(m * v) / n, mean(q) / n
-    uu, vv, uv = mean(m * u * u) / n - mu**2, mean(m * v * v) / n - mv**2, mean(m * u * v) / n - mu * mv
-    uq, vq, qq = mean(q * u) / n - mu * mq, mean(q * v) / n - mv * mq, mean(q * q) / n - mq**2
-    det = np.maximum(uu * vv - uv**2, 1e-9)
-    a, b = (uq * vv - vq * uv) / det, (vq * uu - uq * uv) / det
-    here = np.maximum(mq + a * (u - mu) + b * (v - mv), 1e-6)
-    rms = np.sqrt(np.maximum(qq - a * uq - b * vq, 0.0)) / here**2
-    c = here - a * (u + 0.5 * w + x0) - b * (v + 0.5 * h + y0)
-    normal = -np.stack([a * rig.fx, b * rig.fy, c + a * rig.cx + b * rig.cy], -1)
-    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    return Faces(1.0 / here, normal, rms, n)
+    pixel_m = z_m / rig.fx
+    steady = np.sqrt(np.sqrt(12.0) * NOISE_SPREAD * sigma_z / (NORMAL_SIGMA * pixel_m))
+    side = min(max(config.tool_diameter_m / pixel_m, steady), LARGEST_WINDOW * np.sqrt(pixels))
+    return 2 * int(max(side, 3.0) / 2) + 1
 
 
-def _plan(surface: Surface, mask: Mask, solid: Solid | None, up: F64, config: StrikeConfig) -> StrikePlan:
-    seen = mask & np.isfinite(surface.xyz[..., 2])
-    if solid is None or not seen.any():
-        return StrikePlan((), (Reason("UNCERTAIN_DEPTH", "too few points to place a strike"),))
-    x, y, w, h = cv2.boundingRect(seen.astype(np.uint8))
-    crop = np.s_[y : y + h, x : x + w]
-    seen, xyz = seen[crop], surface.xyz[crop].astype(np.float64)
-    side = 2 * int(0.5 * surface.rig.fx * config.tool_diameter_m / np.nanmedian(xyz[..., 2])) + 1
-    faces = fit_faces(1.0 / xyz[..., 2], seen, max(side, 7), surface.rig, surface.x0 + x, surface.y0 + y)
-    cos = faces.normal @ up
-    inside = cv2.erode(seen.astype(np.uint8), np.ones((side, side), np.uint8)) > 0
-    admissible = seen & inside & (cos > np.cos(config.max_slope_rad))
-    if not admissible.any():
-        return StrikePlan((), (Reason("TOO_STEEP", "no face within the permitted angle"),))
-    offset = xyz - solid.centre_of_gravity
-    lever = np.linalg.norm(offset - (offset @ up)[..., None] * up, axis=-1) / solid.size_m[0]
-    score = np.where(admissible, cos - lever, -np.inf)
-    row, column = np.unravel_index(int(score.argmax()), score.shape)
-    normal, depth = faces.normal[row, column], faces.depth[row, column]
-    point = surface.rig.back_project(surface.x0 + x + column, surface.y0 + y + row, depth)
-    slope = float(np.arccos(np.clip(cos[row, column], -1, 1)))
-    best = float(np.clip(score[row, column], 0, 1))
-    return StrikePlan((Strike(point, -normal, slope, float(faces.rms[row, column]), best),))
+def _plan(patches: Patches | None, solid: Solid, plane: Plane, site: Site, config: StrikeConfig) -> StrikePlan:
+    if patches is None:
+        return _none("UNCERTAIN_DEPTH")
+    cos = patches.field.normal @ plane.normal
+    passes = _tests(patches, cos, plane, site, config)
+    admissible = patches.seen
+    for code in CRITERIA:
+        admissible = admissible & passes[code]
+        if not admissible.any():
+            return _none(code)
+    score = np.where(admissible, _scores(patches, cos, solid, plane, config), -1.0)
+    return StrikePlan(tuple(_ranked(patches, score, cos, config)))
+
+
+def _none(code: str) -> StrikePlan:
+    return StrikePlan((), (Reason(code, CRITERIA[code]),))
+
+
+def _tests(patches: Patches, cos: F64, plane: Plane, site: Site, config: StrikeConfig) -> dict[str, Mask]:
+    """Which pixels pass each of `CRITERIA`."""
+    keep_off = 0.5 * config.tool_diameter_m + config.clearance_m
+    above_bars = plane.height(patches.xyz) > config.clearance_m
+    return {
+        "UNCERTAIN_DEPTH": patches.field.share > config.min_measured,
+        "NEAR_EDGE": (patches.edge_m >= keep_off) & above_bars,
+        "TOO_SMALL_PATCH": patches.field.rms <= _flat_enough(patches, config),
+        "TOO_STEEP": cos >= np.cos(config.max_slope_rad),
+        "OUT_OF_REACH": _within_reach(patches.xyz, site),
+    }
+
+
+def _flat_enough(patches: Patches, config: StrikeConfig) -> F64:
+    """Residual allowed [m]: the tool's tolerance, with the depth noise that no face can be free of."""
+    return np.asarray(np.hypot(config.max_roughness_m, 2.0 * patches.sigma_z))
+
+
+def _within_reach(xyz: F64, site: Site) -> Mask:
+    inside = np.ones(xyz.shape[:-1], bool)
+    if site.T_arm_camera is None or (site.reach_min_m is None and site.reach_max_m is None):
+        return inside
+    arm = apply(site.T_arm_camera, xyz)
+    if site.reach_min_m is not None:
+        inside &= (arm >= site.reach_min_m).all(-1)
+    if site.reach_max_m is not None:
+        inside &= (arm <= site.reach_max_m).all(-1)
+    return inside
+
+
+def _scores(patches: Patches, cos: F64, solid: Solid, plane: Plane, config: StrikeConfig) -> F64:
+    """0…1 by slope, lever about the centre of gravity and roughness, each a bell curve of its own width."""
+    offset = patches.xyz - solid.centre_of_gravity
+    lever = np.linalg.norm(offset - (offset @ plane.normal)[..., None] * plane.normal, axis=-1)
+    slope = np.arccos(np.clip(cos, -1.0, 1.0))
+    terms = (
+        (slope, config.max_slope_rad),
+        (lever, config.lever_share * float(solid.size_m[0])),
+        (patches.field.rms, 2.0 * _flat_enough(patches, config)),
+    )
+    return np.asarray(np.exp(-0.5 * sum((value / width) ** 2 for value, width in terms)))
+
+
+def _ranked(patches: Patches, score: F64, cos: F64, config: StrikeConfig) -> list[Strike]:
+    """The best strike and alternates, each at least a tool's diameter and a half from those before."""
+    found: list[Strike] = []
+    score = score.copy()
+    while len(found) <= config.alternates:
+        at = np.unravel_index(int(score.argmax()), score.shape)
+        if score[at] <= 0:
+            break
+        point, slope = patches.xyz[at], float(np.arccos(np.clip(cos[at], -1.0, 1.0)))
+        rms = float(patches.field.rms[at])
+        found.append(Strike(point, -patches.field.normal[at], slope, rms, float(score[at])))
+        score[np.linalg.norm(patches.xyz - point, axis=-1) < 1.5 * config.tool_diameter_m] = -1.0
+    return found

@@ -78,25 +78,63 @@ class SegmentConfig(StageConfig):
     """Lumps in the image."""
 
     min_size_m: float = param(0.04, "lumps whose visible width is smaller are dropped, and counted", "m", gt=0)
+    sigmas: float = param(3.0, "relief over the bars that is ore, in standard deviations of a disparity", gt=0)
+    min_height: float = param(0.05, "relief over the bars that is ore, in openings", ge=0)
+    evidence: float = param(0.7, "smoothed evidence above which a pixel is ore (1: relief just stands out)", gt=0, lt=2)
+    guide_radius_px: int = param(8, "radius in which the image draws the outline", "px", ge=1)
+    least_part: float = param(0.15, "smaller connected parts are noise, in openings", ge=0)
+    smooth_px: float = param(1.5, "standard deviation of the smoothing of the relief", "px", gt=0)
+    valley_sigmas: float = param(2.0, "depth of a valley that may part lumps, in standard deviations", gt=0)
+    valley_share: float = param(0.03, "and in shares of the relief", ge=0)
+    least_crease: float = param(0.15, "shorter valleys are noise, in openings", ge=0)
+    neck: float = param(0.85, "a core whose neck is thinner than this share of it is a part of its own", gt=0, lt=1)
+    least_core: float = param(0.05, "thinner cores are none, in openings", gt=0)
+    relief_weight: float = param(6.7, "grey levels that a standard deviation of relief is worth in the outline", gt=0)
+    band_px: int = param(8, "band on either side of the outline within which the image may move it", "px", ge=1)
+    merge_probability: float = param(0.5, "neighbours more likely one lump than this are joined", gt=0, lt=1)
+    lump_probability: float = param(0.5, "parts less likely a lump than this are dropped, and counted", ge=0, lt=1)
+    default_opening_m: float = param(0.3, "scale of the lumps when no opening is known", "m", gt=0)
 
 
 class SolidConfig(StageConfig):
     """The unseen side of a lump."""
 
     min_points: int = param(30, "lumps with fewer visible points get no solid", ge=4)
-    oversize_margin: float = param(0.0, "share of the opening within which oversize is unknown", ge=0, le=0.5)
+    oversize_margin: float = param(0.03, "share of the opening within which oversize is unknown", ge=0, le=0.5)
+    volume_sigmas: float = param(2.0, "half width of the volume's bounds in standard deviations of its logarithm", gt=0)
+    bias_share: float = param(0.5, "error common to all disparities of a lump, over the noise of one", ge=0, le=5)
 
 
 class StrikeConfig(StageConfig):
     """Where the tool may strike."""
 
     tool_diameter_m: float = param(0.04, "diameter of the chisel", "m", gt=0)
-    max_slope_rad: float = param(0.6, "largest angle between face normal and the tool's axis", "rad", gt=0)
+    max_slope_rad: float = param(
+        0.6, "largest angle between face normal and the tool's axis (the screen's normal)", "rad", gt=0, le=1.57
+    )
+    clearance_m: float = param(
+        0.005, "distance kept from edges, neighbours and bars beyond the tool's radius", "m", ge=0
+    )
+    max_roughness_m: float = param(0.006, "residual of a flat patch, beside the depth noise", "m", gt=0)
+    min_measured: float = param(0.7, "share of a patch that must have a depth", ge=0, lt=1)
+    lever_share: float = param(
+        0.2,
+        "distance from the normal through the centre of gravity, over the longest dimension, that halves a score",
+        gt=0,
+    )
     alternates: int = param(3, "ranked alternates reported", ge=0)
 
 
 class OrderConfig(StageConfig):
-    """Which lump to break first."""
+    """Which lump to break first: a weighted sum, highest first."""
+
+    oversize_weight: float = param(4.0, "for a lump that can't pass; half of it when that is unknown", ge=0)
+    height_weight: float = param(
+        1.0, "for a strike higher than others, over the highest: what lies on top goes first", ge=0
+    )
+    strike_weight: float = param(1.0, "for the strike's score", ge=0)
+    travel_weight: float = param(0.5, "against the arm's way from the middle of its reach, over the longest way", ge=0)
+    resolution: float = param(0.02, "differences of the sum below this are ties, which the id decides", gt=0)
 
 
 class Config(StageConfig):

@@ -3,18 +3,29 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import ConvexHull
+from scipy.ndimage import find_objects
 
 from stereo_ore.config.models import SolidConfig
-from stereo_ore.solid.measure import convex_body, longest_calliper, smallest_box
-from stereo_ore.transforms import frame_from_normal
-from stereo_ore.types import F64, Grizzly, Mask, OreMap, Solid, Surface
+from stereo_ore.solid.cues import DIMENSIONS, Cues, gather
+from stereo_ore.solid.measure import smallest_box
+from stereo_ore.solid.prior import Estimate, load
+from stereo_ore.solid.sight import Sight, look
+from stereo_ore.types import F64, Grizzly, OreMap, Reason, Solid, Surface
 
-__all__ = ["solids"]
+__all__ = ["METHOD", "solids"]
+
+METHOD = "grounded hull corrected by a shape prior"
+FARTHEST, LARGEST = 0.7, 1.2
+"""Bounds of the correction: shift of the centre over the lump's size, logarithm of the volume's ratio."""
 
 
 def solids(surface: Surface, ore_map: OreMap, grizzly: Grizzly, config: SolidConfig) -> tuple[Solid | None, ...]:
     """Close every lump to a body.
+
+    The visible surface is closed by a shrunken footprint on the screen (the grounded hull). How far that is from the
+    truth depends on what the camera saw: the outline, what carries or hides the lump, the bars under it, the view. A
+    linear model of such cues, fitted to scenes with known truth, gives centre of gravity, volume and dimensions with
+    their uncertainties.
 
     Parameters
     ----------
@@ -23,58 +34,66 @@ def solids(surface: Surface, ore_map: OreMap, grizzly: Grizzly, config: SolidCon
     ore_map
         Lumps in the whole image, ids 1…n.
     grizzly
-        The screen they lie on.
+        The screen they lie on; bars and opening sharpen the estimate when they are known.
 
     Returns
     -------
     tuple
-        Entry i is the solid of id i + 1, None when too few points were seen to make one.
+        Entry i is the solid of id i + 1, None when too little was seen of it to make one.
     """
     h, w = surface.sigma_z.shape
     labels = ore_map.labels[surface.y0 : surface.y0 + h, surface.x0 : surface.x0 + w]
-    seen = np.isfinite(surface.xyz[..., 2]) & (labels > 0)
-    return tuple(
-        _solid(surface, seen & (labels == i), grizzly, config) for i in range(1, int(ore_map.labels.max()) + 1)
-    )
+    count = int(ore_map.labels.max(initial=0))
+    boxes = find_objects(labels, max_label=count) if count else []
+    found: list[Solid | None] = []
+    for number, box in enumerate(boxes, 1):
+        sight = look(surface, labels, box, number, grizzly.plane, config.min_points) if box else None
+        cues = gather(sight, grizzly.bars, grizzly.opening_m) if sight else None
+        cut = number in ore_map.cut
+        found.append(_solid(sight, cues, grizzly.opening_m, cut, config) if sight and cues else None)
+    return tuple(found)
 
 
-def _solid(surface: Surface, mask: Mask, grizzly: Grizzly, config: SolidConfig) -> Solid | None:
-    points = surface.xyz[mask].astype(np.float64)
-    if len(points) < config.min_points:
-        return None
-    axes = frame_from_normal(grizzly.plane.normal, np.array([1.0, 0.0, 0.0]))
-    origin = grizzly.plane.normal * grizzly.plane.offset
-    local = (points[:: max(1, len(points) // 3000)] - origin) @ axes.T
-    body = convex_body(np.vstack([local, _footprint(local, 0.6)]))
-    if body is None:
-        return None
-    centre, box, extent = smallest_box(body)
-    longest = longest_calliper(body.vertices)
-    size = np.array([longest, extent[1], extent[2]])
-    sigma = 0.05 * longest * np.ones(3)
+def _solid(sight: Sight, cues: Cues, opening_m: float | None, cut: bool, config: SolidConfig) -> Solid:
+    estimate, s = load().estimate(cues.even, cues.odd, cues.doubts), sight.size
+    base = cues.body
+    shift = np.array([estimate.mean[axis] for axis in "xyz"]) * s - base.centroid
+    shift *= min(1.0, FARTHEST * s / max(float(np.linalg.norm(shift)), 1e-12))
+    ratio = np.clip(estimate.mean["volume"] - np.log(base.volume / s**3), -LARGEST, LARGEST)
+    volume = float(np.exp(ratio) * base.volume)
+    centre, spread = base.centroid + shift, config.volume_sigmas * estimate.sigma["volume"] * (2.0 if cut else 1.0)
+    size = np.sort([s * np.exp(estimate.mean[name]) for name in DIMENSIONS])[::-1]
+    vertices = centre + np.exp(ratio / 3) * (base.vertices - base.centroid)
+    box_centre, axes, _ = smallest_box(base)
     return Solid(
-        centre_of_gravity=body.centroid @ axes + origin,
-        sigma_m=sigma,
-        volume_m3=body.volume,
-        volume_bounds_m3=(0.6 * body.volume, 1.6 * body.volume),
-        box_centre=centre @ axes + origin,
-        axes=box @ axes,
-        extent_m=extent,
+        centre_of_gravity=sight.to_camera(centre),
+        sigma_m=_sigma(sight, estimate, cut, config),
+        volume_m3=volume,
+        volume_bounds_m3=(float(volume * np.exp(-spread)), float(volume * np.exp(spread))),
+        box_centre=sight.to_camera(centre + np.exp(ratio / 3) * (box_centre - base.centroid)),
+        axes=axes @ sight.axes,
+        extent_m=np.array([max(size[1], size[0] * np.exp(-cues.diagonal)), size[1], size[2]]),
         size_m=size,
-        method="hull",
-        vertices=(body.vertices @ axes + origin).astype(np.float32),
-        oversize=_oversize(extent[1], grizzly.opening_m, config.oversize_margin),
+        method=METHOD,
+        vertices=sight.to_camera(vertices).astype(np.float32),
+        oversize=_oversize(float(size[1]), opening_m, cut, config),
+        reasons=(Reason("CUT_BY_IMAGE", "the image's border cuts the lump; it may be larger"),) if cut else (),
     )
 
 
-def _footprint(local: F64, shrink: float) -> F64:
-    """Outline of (N, 3) points from above, shrunk about its middle and laid on the plane z = 0."""
-    outline = local[ConvexHull(local[:, :2]).vertices, :2]
-    middle = outline.mean(0)
-    return np.column_stack([middle + shrink * (outline - middle), np.zeros(len(outline))])
+def _sigma(sight: Sight, estimate: Estimate, cut: bool, config: SolidConfig) -> F64:
+    """Standard deviation (3,) [m] along the camera's axes: the model's error, and a bias common to all disparities."""
+    model = np.array([estimate.sigma[axis] for axis in "xyz"]) * sight.size * (2.0 if cut else 1.0)
+    bias = sight.sigma_z * config.bias_share * sight.view
+    variance = (model**2) @ sight.axes**2 + (bias @ sight.axes) ** 2
+    return np.asarray(np.sqrt(variance))
 
 
-def _oversize(middle: float, opening: float | None, margin: float) -> bool | None:
-    if opening is None or abs(middle / opening - 1.0) < margin:
+def _oversize(middle_m: float, opening_m: float | None, cut: bool, config: SolidConfig) -> bool | None:
+    """Whether the middle dimension exceeds the opening; None when unknown or within the margin."""
+    if opening_m is None:
         return None
-    return bool(middle > opening)
+    excess = middle_m / opening_m - 1.0
+    if cut and excess <= config.oversize_margin:
+        return None
+    return None if abs(excess) <= config.oversize_margin else bool(excess > 0)

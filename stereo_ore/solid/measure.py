@@ -9,8 +9,12 @@ from scipy.spatial import ConvexHull, QhullError
 
 from stereo_ore.types import F64, I32
 
-IN_PLANE_TURNS = 24
-"""Turns of the box tried about each face normal: steps of 90°/24, whose loss in length is below 0.1 %."""
+IN_PLANE_TURNS = 12
+"""Turns of the box tried about each face normal: steps of 7.5°, whose loss in length is below 0.3 %."""
+BOX_FACES = 32
+"""Faces tried as a side of the box, the largest first: the small ones of a rounded lump are nearly parallel to them."""
+DIRECTIONS = 160
+"""Directions in which a cloud's extreme points are sought."""
 
 
 @dataclass(frozen=True)
@@ -21,6 +25,15 @@ class Body:
     triangles: I32
     volume: float
     centroid: F64
+
+
+def extremes(points: F64) -> F64:
+    """The (M, 3) points of (N, 3) that lie farthest in one of `DIRECTIONS` spread evenly over the sphere."""
+    i = np.arange(DIRECTIONS) + 0.5
+    polar, azimuth = np.arccos(1 - 2 * i / DIRECTIONS), np.pi * (1 + np.sqrt(5)) * i
+    around = np.sin(polar)
+    directions = np.stack([np.cos(azimuth) * around, np.sin(azimuth) * around, np.cos(polar)], 1)
+    return np.asarray(points[np.unique((directions @ points.T).argmax(1))])
 
 
 def convex_body(points: F64) -> Body | None:
@@ -85,8 +98,10 @@ def smallest_box(body: Body) -> tuple[F64, F64, F64]:
 
 
 def _face_normals(body: Body) -> F64:
-    """Unit normals (F, 3) of the faces that have an area."""
+    """Unit normals (F, 3) of the largest faces."""
     p = body.vertices[body.triangles]
     normals = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.asarray((normals / np.maximum(length, 1e-300))[length[:, 0] > 0])
+    length = np.linalg.norm(normals, axis=1)
+    large = np.argsort(-length, kind="stable")[:BOX_FACES]
+    large = large[length[large] > 0]
+    return np.asarray(normals[large] / length[large, None])

@@ -1,0 +1,73 @@
+"""Planes fitted around every pixel of a depth image, shared by the stages that need a smooth surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from stereo_ore.types import F64, Mask, Rig
+
+
+@dataclass(frozen=True)
+class PlaneField:
+    """The plane around each pixel of an (h, w) crop.
+
+    depth (h, w) [m] at the pixel, unit normal (h, w, 3) towards the camera, rms (h, w) [m] of the residual along z,
+    share (h, w) of the window that was measured.
+    """
+
+    depth: F64
+    normal: F64
+    rms: F64
+    share: F64
+
+
+def fit_planes(depth_m: F64, mask: Mask, side: int, rig: Rig) -> PlaneField:
+    """Fit a plane to the masked pixels of the window around each pixel.
+
+    On a plane inverse depth is linear in the pixel, 1/z = a·(u − cx) + b·(v − cy) + c, and its noise is that of
+    disparity, the same everywhere; so the least squares fit of (a, b, c) over a window needs only box filters. The
+    plane's normal is −(a·fx, b·fy, c), normalised.
+
+    Parameters
+    ----------
+    depth_m : (h, w) array
+        Depth; used where `mask`.
+    mask : (h, w) array
+        Pixels that count.
+    side : int
+        Side of the window, odd [px].
+    rig : Rig
+        Geometry of the crop: see `crop_rig`.
+    """
+    h, w = mask.shape
+    weight = mask.astype(np.float64)
+    q = np.where(mask, 1.0 / np.where(mask, depth_m, 1.0), 0.0)
+    u, v = np.meshgrid(np.arange(w) - rig.cx, np.arange(h) - rig.cy)
+    share = _mean(weight, side)
+    n = np.maximum(share, 1e-9)
+    mu, mv, mq = (_mean(weight * x, side) / n for x in (u, v, q))
+    uu, uv, vv, uq, vq, qq = (
+        _mean(weight * x * y, side) / n - mx * my
+        for x, y, mx, my in (
+            (u, u, mu, mu), (u, v, mu, mv), (v, v, mv, mv), (u, q, mu, mq), (v, q, mv, mq), (q, q, mq, mq)
+        )
+    )  # fmt: skip
+    determinant = np.maximum(uu * vv - uv**2, 1e-6)
+    a, b = (uq * vv - vq * uv) / determinant, (vq * uu - uq * uv) / determinant
+    here = np.maximum(mq + a * (u - mu) + b * (v - mv), 1e-6)
+    c = here - a * u - b * v
+    normal = -np.stack([a * rig.fx, b * rig.fy, c], -1)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    return PlaneField(1.0 / here, normal, np.sqrt(np.maximum(qq - a * uq - b * vq, 0.0)) / here**2, share)
+
+
+def crop_rig(rig: Rig, u0: int, v0: int, stride: int = 1) -> Rig:
+    """Geometry of the image whose pixel (i, j) is pixel (u0 + i·stride, v0 + j·stride) of the rig's."""
+    return replace(rig, fx=rig.fx / stride, fy=rig.fy / stride, cx=(rig.cx - u0) / stride, cy=(rig.cy - v0) / stride)
+
+
+def _mean(image: F64, side: int) -> F64:
+    return np.asarray(cv2.boxFilter(image, -1, (side, side), normalize=True, borderType=cv2.BORDER_CONSTANT))

@@ -1,0 +1,201 @@
+"""What the camera saw of one lump: its surface, its outline, and what lies around the outline."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from stereo_ore.planes import crop_rig, fit_planes
+from stereo_ore.transforms import frame_from_normal
+from stereo_ore.types import F64, I16, Mask, Plane, Rig, Surface
+
+I64 = npt.NDArray[np.int64]
+
+MARGIN_PX = 6
+"""Pixels around a lump's rectangle that are looked at."""
+SURFACE_PIXELS = 4000
+"""Larger lumps are looked at with a stride, for time."""
+SURFACE_SAMPLES = 1200
+"""Surface points used; more do not change the body."""
+MIXED_RMS = 0.1
+"""A fitted plane whose residual exceeds this share of the lump's size mixes it with what lies behind."""
+STEP = 0.06
+"""Depth difference across the outline, as share of the lump's size, that tells contact from a gap."""
+MIN_OUTLINE = 8
+"""Fewer outline pixels tell nothing."""
+NEAR = 0.6
+"""Reach around the outline, as share of the lump's size, within which a surface may carry the lump."""
+
+
+@dataclass(frozen=True)
+class Ring:
+    """What lies just outside a lump's outline, by pixel (R,), beside the outline pixel nearest to it.
+
+    Heights [m] over the screen `outside` and `inside`; `step` [m] is how much deeper than the outline the outside is,
+    `gap` [m] the distance between the two, `other` whether another lump lies there. `count` is the number of pixels,
+    with or without depth.
+    """
+
+    outside: F64
+    inside: F64
+    step: F64
+    gap: F64
+    other: Mask
+    count: int
+
+
+@dataclass(frozen=True)
+class Sight:
+    """A lump in its own frame: x away from the camera along the screen, z along the screen's normal, origin on it.
+
+    Lengths in metres. `axes` (3, 3) are the frame's axes as rows and `origin` (3,) its origin, camera frame. `size` is
+    the square root of the silhouette's area, `sigma_z` the depth noise of a pixel, `view` (3,) the viewing direction.
+    `points` (N, 3) and `normals` (N, 3) sample the smoothed surface, `outline` (K, 3) is its own outline where nothing
+    hides it, `silhouette` (3,) the centroid of the filled silhouette at the outline's mean depth.
+    """
+
+    axes: F64
+    origin: F64
+    size: float
+    sigma_z: float
+    view: F64
+    points: F64
+    normals: F64
+    outline: F64
+    silhouette: F64
+    ring: Ring
+
+    @property
+    def tilt(self) -> float:
+        """Sine of the angle between the viewing direction and the screen's normal."""
+        return float(np.hypot(self.view[0], self.view[1]))
+
+    def to_camera(self, xyz: F64) -> F64:
+        """Points (..., 3) of the lump's frame in the camera frame."""
+        return xyz @ self.axes + self.origin
+
+
+@dataclass(frozen=True)
+class _Crop:
+    """A lump's rectangle: labels, lump and measured pixels (h, w), smoothed points (h, w, 3), normals, geometry."""
+
+    lump: Mask
+    other: Mask
+    seen: Mask
+    known: Mask
+    xyz: F64
+    normal: F64
+    size: float
+    sigma_z: float
+    rig: Rig
+
+
+def look(
+    surface: Surface, labels: I16, box: tuple[slice, ...], number: int, plane: Plane, min_points: int
+) -> Sight | None:
+    """Gather the sight of lump `number`, whose pixels in the crop's `labels` (h, w) lie in `box`; None if too few."""
+    crop = _crop(surface, labels, box, number, min_points)
+    if crop is None:
+        return None
+    edge = _edge(crop.lump) & crop.seen
+    if crop.seen.sum() < min_points or edge.sum() < MIN_OUTLINE:
+        return None
+    seen = crop.xyz[crop.seen]
+    axes, origin = _lump_frame(seen, plane)
+    local = ((crop.xyz - origin) @ axes.T).reshape(-1, 3)
+    ring, hidden = _ring(crop, edge, local)
+    own = np.nonzero(edge.ravel() & ~hidden)[0]
+    own = own if len(own) >= MIN_OUTLINE else np.nonzero(edge.ravel())[0]
+    v, u = np.nonzero(crop.lump)
+    middle = crop.rig.back_project(u.mean(), v.mean(), crop.xyz[..., 2].ravel()[own].mean())
+    sample = _thinned(crop.seen).ravel()
+    view = seen.mean(0)
+    return Sight(
+        axes=axes,
+        origin=origin,
+        size=crop.size,
+        sigma_z=crop.sigma_z,
+        view=axes @ (view / np.linalg.norm(view)),
+        points=local[sample],
+        normals=crop.normal.reshape(-1, 3)[sample] @ axes.T,
+        outline=local[own],
+        silhouette=(middle - origin) @ axes.T,
+        ring=ring,
+    )
+
+
+def _crop(surface: Surface, labels: I16, box: tuple[slice, ...], number: int, min_points: int) -> _Crop | None:
+    """Cut a lump out, with a margin and perhaps a stride, and smooth its surface by planes."""
+    stride = max(1, int(np.sqrt((labels[box] == number).sum() / SURFACE_PIXELS)))
+    rows, columns = (slice(max(s.start - MARGIN_PX * stride, 0), s.stop + MARGIN_PX * stride, stride) for s in box)
+    labels, xyz = labels[rows, columns], surface.xyz[rows, columns].astype(np.float64)
+    rig = crop_rig(surface.rig, surface.x0 + columns.start, surface.y0 + rows.start, stride)
+    lump, known = labels == number, np.isfinite(xyz[..., 2])
+    seen = lump & known
+    count = int(seen.sum())
+    if count < min_points:
+        return None
+    size = float(np.sqrt(lump.sum() / (rig.fx * rig.fy)) * np.median(xyz[seen, 2]))
+    field = fit_planes(xyz[..., 2], seen, 2 * round(0.03 * np.sqrt(count)) + 3, rig)
+    seen &= field.rms < MIXED_RMS * size
+    if not seen.any():
+        return None
+    scale = np.where(seen, field.depth / np.where(known, xyz[..., 2], 1.0), 1.0)
+    sigma_z = float(np.median(surface.sigma_z[rows, columns][seen]))
+    other = (labels > 0) & ~lump
+    return _Crop(lump, other, seen, known, xyz * scale[..., None], field.normal, size, sigma_z, rig)
+
+
+def _ring(crop: _Crop, edge: Mask, local: F64) -> tuple[Ring, Mask]:
+    """The ring around a lump, and which pixels (h·w,) of its edge something nearer hides."""
+    outside, inside, count = _across(crop.lump, edge, crop.known)
+    depth = crop.xyz[..., 2].ravel()
+    step = depth[outside] - depth[inside]
+    hidden = np.zeros(crop.lump.size, bool)
+    hidden[inside[step < -STEP * crop.size]] = True
+    gap = np.linalg.norm(local[outside] - local[inside], axis=1)
+    return Ring(local[outside, 2], local[inside, 2], step, gap, crop.other.ravel()[outside], count), hidden
+
+
+def _thinned(seen: Mask) -> Mask:
+    """At most about `SURFACE_SAMPLES` of the pixels, on a regular grid."""
+    skip = max(1, int(np.sqrt(seen.sum() / SURFACE_SAMPLES)))
+    sample = np.zeros_like(seen)
+    sample[::skip, ::skip] = seen[::skip, ::skip]
+    return sample
+
+
+def _lump_frame(points: F64, plane: Plane) -> tuple[F64, F64]:
+    """Axes as rows and origin: the middle of the points (N, 3) brought down to the plane."""
+    middle = points.mean(0)
+    origin = middle - plane.height(middle) * plane.normal
+    ray = middle / np.linalg.norm(middle)
+    steep = np.linalg.norm(np.cross(ray, plane.normal)) < 1e-3
+    return frame_from_normal(plane.normal, np.array([0.0, -1.0, 0.0]) if steep else ray), origin
+
+
+def _edge(lump: Mask) -> Mask:
+    """Outermost pixels of the lump; the border of the crop is no edge."""
+    kernel = np.ones((3, 3), np.uint8)
+    inner = cv2.erode(lump.astype(np.uint8), kernel, borderType=cv2.BORDER_CONSTANT, borderValue=1)
+    return np.asarray(lump & (inner == 0))
+
+
+def _across(lump: Mask, edge: Mask, known: Mask) -> tuple[I64, I64, int]:
+    """Flat indices of the ring's measured pixels and of the edge pixel nearest to each; how many pixels the ring has.
+
+    The ring is two to four pixels outside the lump: nearer ones mix the two depths.
+    """
+    image, kernel = lump.astype(np.uint8), np.ones((3, 3), np.uint8)
+    ring = (cv2.dilate(image, kernel, iterations=4) - cv2.dilate(image, kernel)) > 0
+    _, nearest = cv2.distanceTransformWithLabels(
+        (~edge).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    pixels = np.nonzero(edge.ravel())[0]
+    table = np.zeros(int(nearest.max()) + 1, np.int64)
+    table[nearest.ravel()[pixels]] = pixels
+    outside = np.nonzero((ring & known).ravel())[0]
+    return outside, table[nearest.ravel()[outside]], int(ring.sum())
