@@ -48,7 +48,7 @@ def _finish(images: sgbm.Crop, matched: I16, lr_diff: F32, valid: Mask, rig: Rig
     values = np.full((rig.height, rig.width), np.nan, np.float32)
     doubts = {name: np.zeros((rig.height, rig.width), np.float32) for name in CUES}
     offset = np.float32(region.min_disparity + rig.disparity_offset_px)
-    brightness = subpixel.brightness_ratio(images)
+    brightness = subpixel.brightness_ratio(images, matched, valid)
 
     def refine(rows: slice, core: slice, band: slice) -> None:
         filled = sgbm.to_px(matched[rows]) * valid[rows]

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 
 from stereo_ore.matching import windows
-from stereo_ore.matching.sgbm import Crop
-from stereo_ore.types import F32, Mask
+from stereo_ore.matching.sgbm import Crop, to_px
+from stereo_ore.types import F32, I16, Mask
 
 PATCH_PX = 9
 """Window over which the images are compared."""
@@ -23,6 +23,8 @@ REACH_PX = BEFORE_PX // 2 + PATCH_PX // 2 + AFTER_PX // 2
 
 MAX_SHIFT_PX = 0.5
 """The parabola is never more than half a pixel wrong on the right minimum."""
+
+BRIGHTNESS_STEP = 4
 
 NOISE = 1.0
 """Variance of the image gradient that noise alone makes [grey levels²]: without texture the parabola stands."""
@@ -57,7 +59,7 @@ def refine(images: Crop, filled: F32, valid: Mask, brightness: np.float32) -> Re
     valid : (h, w) bool
         Where there is a disparity.
     brightness : float
-        γ, from `brightness_ratio` of the whole crop.
+        γ, from `brightness_ratio`.
     """
     start = windows.smooth(filled, valid, BEFORE_PX, BEFORE_STEP_PX)
     left = images.inner.astype(np.float32)
@@ -76,9 +78,14 @@ def warp(images: Crop, disparity: F32) -> F32:
     x = images.columns - disparity
     y = np.repeat(np.arange(len(x), dtype=np.float32)[:, None], x.shape[1], 1)
     right = images.right.astype(np.float32)
-    return np.asarray(cv2.remap(right, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32)
+    return np.asarray(cv2.remap(right, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), np.float32)
 
 
-def brightness_ratio(images: Crop) -> np.float32:
-    """Left over right brightness of the two crops."""
-    return np.float32(max(float(images.left.mean()), 1.0) / max(float(images.right.mean()), 1.0))
+def brightness_ratio(images: Crop, matched: I16, valid: Mask) -> np.float32:
+    """Left over right brightness of matched pixels, of every `BRIGHTNESS_STEP`-th row."""
+    every = slice(None, None, BRIGHTNESS_STEP)
+    seen = valid[every]
+    columns = np.rint(images.columns - to_px(matched[every])).astype(np.intp)
+    right = np.take_along_axis(images.right[every], np.clip(columns, 0, images.right.shape[1] - 1), 1)
+    left = int(images.inner[every][seen].sum(dtype=np.int64))
+    return np.float32(max(left, 1) / max(int(right[seen].sum(dtype=np.int64)), 1))
