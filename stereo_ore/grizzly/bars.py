@@ -1,4 +1,4 @@
-"""The bars in a plane: direction, pitch, width and phase from where the plane is solid and where one sees through it."""
+"""The bars in a plane: direction, pitch, width and phase, from where it is solid and where one sees through it."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ def _balanced(position: F64, signal: F64, low: float, extent: float) -> F64:
     group = np.clip((position - low) / max(extent, 1e-9) * BINS, 0, BINS).astype(np.intp)
     even = signal / np.bincount(group)[group]
     solid = even > 0
-    return np.where(solid, even / even[solid].sum(), -even / even[~solid].sum())
+    return np.asarray(np.where(solid, even / even[solid].sum(), -even / even[~solid].sum()))
 
 
 def _best_window(position: F64, signal: F64, pitch: float, width_m: float | None) -> tuple[float, float, float]:

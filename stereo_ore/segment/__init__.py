@@ -2,27 +2,151 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 
 from stereo_ore.config import SegmentConfig
-from stereo_ore.types import Grizzly, OreMap, Surface, Volume
+from stereo_ore.segment.evidence import bar_margin, ore_evidence, ore_mask, threshold_px
+from stereo_ore.segment.features import Scene, edges, gradient
+from stereo_ore.segment.frame import find_frame
+from stereo_ore.segment.merge import lump_probability, merge_parts
+from stereo_ore.segment.outline import filled, grow, renumbered
+from stereo_ore.segment.relief import Relief, bar_clearance, bar_coordinates, fill_occlusions, measure_relief
+from stereo_ore.segment.split import cores, long_parts, smooth_relief, valley_depth
+from stereo_ore.types import F32, I16, I32, U8, Grizzly, Mask, OreMap, Surface, Volume
 
 __all__ = ["segment"]
 
+REACHES = (16, 8, 4)
+"""Half lengths of the chords that look for valleys, as fractions 1/n of the opening."""
+REACH_WEIGHTS = (1.0, 1.0, 1.3)
+MARGIN_PX = 12
+"""Pixels of surroundings kept around the ore."""
+
+
+@dataclass(frozen=True)
+class View:
+    """The crop around the ore: what segmentation looks at, all (h, w).
+
+    Relief with its gaps filled and as measured [px], grey and colour image, ore, where a point lies over a bar, and
+    the distance from the screen's sides [openings, at most 1].
+    """
+
+    filled: F32
+    raw: F32
+    grey: U8
+    bgr: U8
+    mask: Mask
+    on_bar: Mask
+    inside: F32
+    relief: Relief
+    threshold_px: float
+    opening_px: float
+
 
 def segment(surface: Surface, grizzly: Grizzly, volume: Volume | None, config: SegmentConfig) -> OreMap:
-    """Label every lump in the image."""
-    height = surface.xyz @ grizzly.plane.normal.astype(np.float32) - np.float32(grizzly.plane.offset)
-    limit = np.maximum(3 * surface.sigma_z, 0.02)
-    mask = np.nan_to_num(height, nan=-1) > np.nan_to_num(limit, nan=1)
-    mask8 = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask8, connectivity=4)
-    pixel = float(np.nanmedian(surface.xyz[..., 2])) / surface.rig.fx if np.isfinite(height).any() else 1.0
-    big = stats[:, cv2.CC_STAT_AREA] * pixel**2 >= config.min_size_m**2
-    big[0] = False
-    new = np.where(big, np.cumsum(big), 0)
-    full = np.zeros((surface.rig.height, surface.rig.width), np.int16)
-    h, w = labels.shape
-    full[surface.y0 : surface.y0 + h, surface.x0 : surface.x0 + w] = new[labels]
-    return OreMap(full, frozenset(), {"dropped_small": int(count - 1 - big.sum())})
+    """Label every lump in the image.
+
+    Parameters
+    ----------
+    surface : Surface
+        Kept points in the image.
+    grizzly : Grizzly
+        The screen; its bars, when known, tell steel from ore between bars.
+    volume : Volume or None
+        The working volume that the surface was cropped to.
+    config : SegmentConfig
+        Thresholds.
+
+    Returns
+    -------
+    OreMap
+        Full-image labels numbered from the top of the image; counts of what was dropped.
+    """
+    if not np.isfinite(surface.xyz[..., 2]).any():
+        return _ore_map(surface, np.zeros((0, 0), np.int32), (0, 0), {"parts": 0})
+    view, corner = _look(surface, grizzly, config)
+    if not view.mask.any():
+        return _ore_map(surface, np.zeros((0, 0), np.int32), (0, 0), {"parts": 0})
+    scene, parts = oversegment(view, config)
+    labels = filled(merge_parts(scene, parts, config.merge_probability))
+    labels, dropped = _select(scene, labels, view, config)
+    return _ore_map(surface, labels, corner, {"parts": int(len(np.unique(parts)) - 1)} | dropped)
+
+
+def _look(surface: Surface, grizzly: Grizzly, config: SegmentConfig) -> tuple[View, tuple[int, int]]:
+    """What segmentation looks at, cropped to the ore, and the crop's corner (row, column) in the surface."""
+    relief = measure_relief(surface, grizzly)
+    threshold = threshold_px(relief, grizzly.opening_m, config)
+    opening = grizzly.opening_m or config.default_opening_m
+    raw, clearance = relief.px.copy(), None
+    inside = np.ones(raw.shape, np.float32)
+    if grizzly.bars is not None:
+        clearance = bar_clearance(surface, grizzly.bars)
+        frame = find_frame(surface, relief, grizzly, grizzly.bars)
+        c, s = bar_coordinates(surface, grizzly.bars, 1)
+        tolerance = np.maximum(3 * surface.sigma_z, np.float32(0.05 * opening))
+        raw[frame.covers(c, s, relief.height_m, tolerance)] = 0
+        inside = np.nan_to_num(np.clip(frame.inside(c, s) / opening, -1, 1), nan=0.0)
+    px = fill_occlusions(raw)
+    grey = np.asarray(cv2.cvtColor(surface.bgr, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+    evidence = ore_evidence(px, clearance, threshold, bar_margin(relief, grizzly))
+    size = opening / relief.pixel_m
+    mask = ore_mask(evidence, grey, config, (config.least_part * size) ** 2)
+    box, corner = _bounds(mask)
+    on_bar = np.zeros_like(mask) if clearance is None else np.nan_to_num(clearance, nan=1.0) < 0
+    view = View(
+        px[box], raw[box], grey[box], surface.bgr[box], mask[box], on_bar[box], inside[box], relief, threshold, size
+    )
+    return view, corner
+
+
+def _bounds(mask: Mask) -> tuple[tuple[slice, slice], tuple[int, int]]:
+    """The rectangle around a mask with a margin, and its corner."""
+    sides = []
+    for axis, size in enumerate(mask.shape):
+        hit = np.flatnonzero(mask.any(1 - axis))
+        low, high = (hit[0], hit[-1]) if len(hit) else (0, 0)
+        sides.append(slice(max(int(low) - MARGIN_PX, 0), min(int(high) + MARGIN_PX + 1, size)))
+    return (sides[0], sides[1]), (sides[0].start, sides[1].start)
+
+
+def oversegment(view: View, config: SegmentConfig) -> tuple[Scene, I32]:
+    """The ore cut into more parts than there are lumps, and what these are measured against."""
+    sigma = view.relief.sigma_px
+    relief = smooth_relief(view.filled, view.mask, config.smooth_px)
+    valleys = np.stack([valley_depth(relief, max(2, round(view.opening_px / n))) for n in REACHES])
+    tolerance = config.valley_sigmas * sigma + config.valley_share * np.maximum(relief, 0)
+    strength = np.max([v / (w * tolerance) for v, w in zip(valleys, REACH_WEIGHTS, strict=True)], axis=0)
+    barrier = long_parts(view.mask & (strength > 1), config.least_crease * view.opening_px)
+    least = max(1.5, config.least_core * view.opening_px)
+    seeds = cores(view.mask, barrier, config.neck, least)
+    parts = grow(seeds, view.mask, view.grey, relief, config.relief_weight / sigma, config.band_px)
+    colour = cv2.cvtColor(cv2.GaussianBlur(view.bgr, (0, 0), 1.5), cv2.COLOR_BGR2Lab).astype(np.float32)
+    scene = Scene(
+        relief, view.raw, valleys, edges(view.grey, view.mask), gradient(relief) / np.float32(sigma), colour,
+        view.on_bar, view.inside, sigma, view.threshold_px, view.opening_px,
+    )  # fmt: skip
+    return scene, parts
+
+
+def _select(scene: Scene, labels: I32, view: View, config: SegmentConfig) -> tuple[I32, dict[str, int]]:
+    """Lumps numbered anew, and how many parts were dropped for being small or unlike a lump."""
+    area = np.bincount(labels.ravel())
+    present = area > 0
+    present[0] = False
+    large = present & (area >= (config.min_size_m / view.relief.pixel_m) ** 2)
+    likely = large & (lump_probability(scene, labels) > config.lump_probability)
+    dropped = {"dropped_small": int((present & ~large).sum()), "dropped_unlike": int((large & ~likely).sum())}
+    return renumbered(labels, likely), dropped
+
+
+def _ore_map(surface: Surface, labels: I32, corner: tuple[int, int], diagnostics: dict[str, int]) -> OreMap:
+    """Labels of the crop laid into the full image, with the ids that its border cuts."""
+    full: I16 = np.zeros((surface.rig.height, surface.rig.width), np.int16)
+    row, column = surface.y0 + corner[0], surface.x0 + corner[1]
+    full[row : row + labels.shape[0], column : column + labels.shape[1]] = labels
+    rim = np.concatenate([full[0], full[-1], full[:, 0], full[:, -1]])
+    return OreMap(full, frozenset(int(i) for i in np.unique(rim) if i), diagnostics)

@@ -1,0 +1,62 @@
+"""Which pixels are ore: what stands out of the plane or lies between bars, drawn to the edges of the image."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from stereo_ore.config import SegmentConfig
+from stereo_ore.segment.relief import Relief
+from stereo_ore.types import F32, U8, Grizzly, Mask
+
+LEAST, MOST = -1.0, 2.0
+"""Evidence beyond these is as good as certain; the limits keep a wrong match from outvoting its neighbours."""
+BETWEEN_BARS = 1.2
+"""Evidence of a surface at the height of the bar tops where there is no bar."""
+EDGE_VARIANCE = 50.0
+"""Variance of grey levels that counts as an edge in the guided filter."""
+
+
+def threshold_px(relief: Relief, opening_m: float | None, config: SegmentConfig) -> float:
+    """Relief [px] that stands out: the larger of the noise and a share of the opening."""
+    least = config.min_height * (opening_m or 0.0) * relief.px_per_m
+    return max(config.sigmas * relief.sigma_px, least)
+
+
+def ore_evidence(px: F32, clearance_m: F32 | None, threshold: float, margin_m: float) -> F32:
+    """Evidence of ore at each pixel; 1 is a relief of just the threshold.
+
+    Parameters
+    ----------
+    px : (h, w) float32
+        Relief [px], 0 on the frame; NaN, where nothing was matched, speaks against ore.
+    clearance_m : (h, w) float32 or None
+        Distance from the nearest bar [m]. What lies well between two bars and not below their tops is ore too.
+    threshold : float
+        Relief that stands out [px].
+    margin_m : float
+        Clearance that counts as well between [m].
+    """
+    evidence = np.clip(np.nan_to_num(px / np.float32(threshold), nan=LEAST), LEAST, MOST)
+    if clearance_m is not None:
+        between = (np.nan_to_num(clearance_m, nan=-1.0) > margin_m) & (px != 0) & (px > -0.2 * threshold)
+        evidence[between] = np.maximum(evidence[between], BETWEEN_BARS)
+    return np.asarray(evidence, dtype=np.float32)
+
+
+def ore_mask(evidence: F32, grey: U8, config: SegmentConfig, area: float) -> Mask:
+    """Pixels of ore where the image agrees on the outline, without connected parts of fewer pixels than `area`.
+
+    The evidence spreads over even areas of the grey image and stops at its edges (He et al. 2013, guided filter).
+    """
+    smooth = cv2.ximgproc.guidedFilter(grey, evidence, config.guide_radius_px, EDGE_VARIANCE)
+    mask = cv2.morphologyEx((smooth > config.evidence).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
+    keep = stats[:, cv2.CC_STAT_AREA] >= area
+    keep[0] = False
+    return np.asarray(keep[labels])
+
+
+def bar_margin(relief: Relief, grizzly: Grizzly) -> float:
+    """Clearance [m] beyond which a point is not a bar's, smeared by the matching window."""
+    return 4 * relief.pixel_m + 0.03 * (grizzly.opening_m or 0.0)

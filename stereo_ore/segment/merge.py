@@ -1,0 +1,38 @@
+"""Parts of one lump put together again, and parts that are no lump taken out."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stereo_ore.segment import weights
+from stereo_ore.segment.features import Scene, pair_features, part_features
+from stereo_ore.types import F64, I32
+
+ROUNDS = 12
+
+
+def merge_parts(scene: Scene, labels: I32, limit: float) -> I32:
+    """Join neighbouring parts whose probability of being one lump exceeds the limit.
+
+    In each round those pairs are joined that are the best of both partners, and the features are measured again.
+    """
+    for _ in range(ROUNDS):
+        pairs, features = pair_features(scene, labels)
+        same = weights.probability(features, weights.PAIR, weights.PAIR_BIAS) if len(pairs) else np.zeros(0)
+        best = np.zeros(labels.max(initial=0) + 1)
+        for end in pairs.T:
+            np.maximum.at(best, end, same)
+        join = (same > limit) & (same >= best[pairs[:, 0]]) & (same >= best[pairs[:, 1]])
+        if not join.any():
+            break
+        into = np.arange(len(best), dtype=np.int32)
+        into[pairs[join, 1]] = pairs[join, 0]
+        labels = into[labels]
+    return labels
+
+
+def lump_probability(scene: Scene, labels: I32) -> F64:
+    """Probability (n + 1,) that each part 0…n is a lump and not a wrong match, rubble or steel; 0 for label 0."""
+    out = weights.probability(part_features(scene, labels), weights.PART, weights.PART_BIAS)
+    out[0] = 0.0
+    return out

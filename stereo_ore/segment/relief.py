@@ -1,0 +1,105 @@
+"""The relief: how far each pixel stands out of the screen's plane, in pixels of disparity.
+
+In disparity space a plane is a linear function of the pixel and a convex body a concave one (a chord of the body lies
+behind its surface, and disparity is linear along the image of a line), while noise is the same everywhere. So touching
+lumps are told apart there, not in metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stereo_ore.types import F32, F64, Bars, Grizzly, Surface
+
+OCCLUSION_SLACK, OCCLUSION_EXTRA = 1.3, 2
+"""A half occlusion is as wide as the step in disparity beside it; a matcher makes it a little wider [factor, px]."""
+
+
+@dataclass(frozen=True)
+class Relief:
+    """Heights over the screen in the image crop.
+
+    `px` (h, w) float32 is the disparity minus the plane's [px], NaN where none; `height_m` (h, w) float32 the distance
+    from the plane [m]. `sigma_px` is the standard deviation of a disparity, `pixel_m` the size of a pixel at the
+    scene's middle depth, `px_per_m` what a metre of height makes in disparity there.
+    """
+
+    px: F32
+    height_m: F32
+    sigma_px: float
+    pixel_m: float
+    px_per_m: float
+
+
+def measure_relief(surface: Surface, grizzly: Grizzly) -> Relief:
+    """Relief of a surface with at least one point over the grizzly's plane."""
+    rig, plane = surface.rig, grizzly.plane
+    focal_baseline = rig.fx * rig.baseline_m
+    z = surface.xyz[..., 2]
+    px = np.float32(focal_baseline) / z - _plane_disparity(surface, plane.normal, plane.offset)
+    valid = np.isfinite(z)
+    middle = float(np.median(z[valid]))
+    sigma = float(np.median(surface.sigma_z[valid] / z[valid] ** 2)) * focal_baseline
+    height = surface.xyz @ plane.normal.astype(np.float32) - np.float32(plane.offset)
+    return Relief(px, height, sigma, middle / rig.fx, focal_baseline / middle**2)
+
+
+def _plane_disparity(surface: Surface, normal: F64, offset: float) -> F32:
+    """Disparity [px] that the plane would have at each pixel of the crop: linear in the pixel's coordinates."""
+    x, y = _ray_axes(surface)
+    scale = surface.rig.fx * surface.rig.baseline_m / offset
+    across, down = scale * normal[0] * x, scale * (normal[1] * y + normal[2])
+    return np.asarray(across[None, :] + down[:, None], dtype=np.float32)
+
+
+def bar_coordinates(surface: Surface, bars: Bars, step: int) -> tuple[F32, F32]:
+    """Coordinates of every `step`-th point across and along the bars [m], NaN where there is no point."""
+    xyz = surface.xyz[::step, ::step]
+    across = xyz @ bars.across.astype(np.float32) - np.float32(bars.phase_m)
+    return across, xyz @ bars.direction.astype(np.float32)
+
+
+def ray_coordinates(surface: Surface, grizzly: Grizzly, bars: Bars, step: int) -> tuple[F32, F32]:
+    """Coordinates across and along the bars [m] of where every `step`-th pixel's ray meets the plane."""
+    x, y = _ray_axes(surface)
+    ray = np.stack(np.broadcast_arrays(x[None, ::step], y[::step, None], 1.0), -1).astype(np.float32)
+    plane = grizzly.plane
+    distance = np.float32(plane.offset) / (ray @ plane.normal.astype(np.float32))
+    across = ray @ bars.across.astype(np.float32) * distance - np.float32(bars.phase_m)
+    return across, ray @ bars.direction.astype(np.float32) * distance
+
+
+def bar_clearance(surface: Surface, bars: Bars) -> F32:
+    """Distance [m] of each point from the nearest bar's edge, negative over a bar, NaN where there is no point."""
+    across, _ = bar_coordinates(surface, bars, 1)
+    pitch = np.float32(bars.pitch_m)
+    return np.abs(across - pitch * np.round(across / pitch)) - np.float32(bars.width_m / 2)
+
+
+def fill_occlusions(px: F32) -> F32:
+    """The relief with half occlusions filled from the farther side, which is what an occluded pixel shows.
+
+    A row's gap is filled when it is no wider than the step in disparity to its right can have hidden from the right
+    eye.
+    """
+    width, columns = px.shape[1], np.arange(px.shape[1], dtype=np.int32)
+    valid = np.isfinite(px)
+    left = np.maximum.accumulate(np.where(valid, columns, -1), axis=1)
+    right = np.minimum.accumulate(np.where(valid, columns, width)[:, ::-1], axis=1)[:, ::-1]
+    row, column = np.nonzero(~valid & (left >= 0) & (right < width))
+    before, after = left[row, column], right[row, column]
+    near, far = px[row, after], px[row, before]
+    hidden = OCCLUSION_SLACK * np.maximum(near - far, 0) + OCCLUSION_EXTRA
+    fits = after - before - 1 <= hidden
+    out = px.copy()
+    out[row[fits], column[fits]] = np.minimum(near, far)[fits]
+    return out
+
+
+def _ray_axes(surface: Surface) -> tuple[F64, F64]:
+    """Slopes x/z of the columns and y/z of the rows."""
+    rig, (h, w) = surface.rig, surface.sigma_z.shape
+    x, y = np.arange(w, dtype=np.float64), np.arange(h, dtype=np.float64)
+    return (surface.x0 + x - rig.cx) / rig.fx, (surface.y0 + y - rig.cy) / rig.fy
