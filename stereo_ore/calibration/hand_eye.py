@@ -28,6 +28,9 @@ LEAST_TURN_RAD = 0.1
 
 OUTLIER_FACTOR = 4.0
 OUTLIER_FLOOR_MM = 5.0
+ROBUST_M = 0.001
+"""Distance beyond which a corner pulls with a constant force, so that a wrong pose stands out from the others."""
+
 METHODS = ("TSAI", "PARK", "HORAUD", "ANDREFF", "DANIILIDIS")
 
 Mount = Literal["fixed", "tool"]
@@ -162,7 +165,7 @@ def _spread(X: F64, Y: F64, seen: Sequence[_Seen], board: Board) -> F64:
 
 
 def _least_spread(X: F64, Y: F64, seen: Sequence[_Seen], board: Board) -> tuple[F64, F64]:
-    """X and Y together, with the least squared distances of all corners.
+    """X and Y together, with the least (robust) distances of all corners.
 
     In metres of the arm, not in pixels: the arm's own poses are less certain than the board's in the images, and the
     simulated error of X is half of that with pixels.
@@ -173,5 +176,5 @@ def _least_spread(X: F64, Y: F64, seen: Sequence[_Seen], board: Board) -> tuple[
         X_now, at = X @ from_vector(vector[:6]), apply(Y @ from_vector(vector[6:]), board.points)
         return np.concatenate([(apply(item.A @ X_now @ item.B, board.points) - at).ravel() for item in seen])
 
-    best = least_squares(error, np.zeros(12), method="lm").x
+    best = least_squares(error, np.zeros(12), loss="soft_l1", f_scale=ROBUST_M).x
     return X @ from_vector(best[:6]), Y @ from_vector(best[6:])
