@@ -24,6 +24,9 @@ MOVED_PX = 0.75
 SEEN_SHARE, LEAST_PIXELS = 0.2, 500
 """Share of the model's pixels that must be seen unchanged, and how many are needed to judge at all."""
 
+FARTHER_SHARE = 0.15
+"""Nothing lies behind the empty screen: more pixels than this that do are a sign of another view."""
+
 FORMAT = "stereo_ore/background/1"
 
 
@@ -80,10 +83,12 @@ def compare(background: Background, disparity: Disparity) -> float:
         )
     shift = disparity.values - background.disparity
     both = np.isfinite(shift)
-    unchanged = both & (np.abs(shift) <= np.maximum(NEARER_SIGMA * background.sigma, NEARER_PX))
+    tolerance = np.maximum(np.float32(NEARER_SIGMA) * background.sigma, np.float32(NEARER_PX))
+    unchanged, farther = both & (np.abs(shift) <= tolerance), both & (shift < -tolerance)
     moved = float(np.median(shift[both])) if both.any() else float("nan")
     modelled = np.isfinite(background.disparity[disparity.region.slices]).sum()
-    if modelled < LEAST_PIXELS or unchanged.sum() < SEEN_SHARE * modelled or _slid(shift, unchanged):
+    another = farther.sum() > FARTHER_SHARE * both.sum() or unchanged.sum() < SEEN_SHARE * modelled
+    if modelled < LEAST_PIXELS or another or _slid(shift, unchanged):
         raise FrameError(
             f"{unchanged.sum():,} of {modelled:,} pixels are as on the empty screen (median shift {moved:.2f} px)",
             code="CAMERA_MOVED",
@@ -120,7 +125,7 @@ def load(path: Path) -> Background:
         When the file is absent, torn, or something else.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             if str(file["format"]) != FORMAT:
                 raise ConfigError(f"has format {file['format']}, not {FORMAT}", file=path, key="format")
             return Background(

@@ -48,12 +48,12 @@ def _finish(images: sgbm.Crop, matched: I16, lr_diff: F32, valid: Mask, rig: Rig
     values = np.full((rig.height, rig.width), np.nan, np.float32)
     doubts = {name: np.zeros((rig.height, rig.width), np.float32) for name in CUES}
     offset = np.float32(region.min_disparity + rig.disparity_offset_px)
-    brightness = subpixel.brightness_ratio(images, matched, valid)
+    disparity = sgbm.to_px(matched) * valid
+    brightness = subpixel.brightness_ratio(images, disparity, valid)
 
     def refine(rows: slice, core: slice, band: slice) -> None:
-        filled = sgbm.to_px(matched[rows]) * valid[rows]
-        refined = subpixel.refine(images.rows(rows), filled, valid[rows], brightness)
-        found = cues.compute(filled, valid[rows], lr_diff[rows], refined)
+        refined = subpixel.refine(images.rows(rows), disparity[rows], valid[rows], brightness)
+        found = cues.compute(disparity[rows], valid[rows], lr_diff[rows], refined)
         target = (slice(region.y0 + band.start, region.y0 + band.stop), region.slices[1])
         np.copyto(values[target], refined.values[core] + offset, where=valid[band])
         for name, cue in found.items():

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 
 from stereo_ore.matching import windows
-from stereo_ore.matching.sgbm import Crop, to_px
-from stereo_ore.types import F32, I16, Mask
+from stereo_ore.matching.sgbm import Crop
+from stereo_ore.types import F32, Mask
 
 PATCH_PX = 9
 """Window over which the images are compared."""
@@ -81,11 +81,11 @@ def warp(images: Crop, disparity: F32) -> F32:
     return np.asarray(cv2.remap(right, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), np.float32)
 
 
-def brightness_ratio(images: Crop, matched: I16, valid: Mask) -> np.float32:
+def brightness_ratio(images: Crop, disparity: F32, valid: Mask) -> np.float32:
     """Left over right brightness of matched pixels, of every `BRIGHTNESS_STEP`-th row."""
     every = slice(None, None, BRIGHTNESS_STEP)
     seen = valid[every]
-    columns = np.rint(images.columns - to_px(matched[every])).astype(np.intp)
+    columns = np.rint(images.columns - disparity[every]).astype(np.intp)
     right = np.take_along_axis(images.right[every], np.clip(columns, 0, images.right.shape[1] - 1), 1)
     left = int(images.inner[every][seen].sum(dtype=np.int64))
     return np.float32(max(left, 1) / max(int(right[seen].sum(dtype=np.int64)), 1))
