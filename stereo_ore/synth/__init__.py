@@ -2,7 +2,7 @@
 
 from stereo_ore.synth.families import FAMILIES, sample_spec
 from stereo_ore.synth.files import write
-from stereo_ore.synth.paper_cloud import NOISE_SHARES, paper_cloud
+from stereo_ore.synth.paper_cloud import NOISE_SHARES, Direction, paper_cloud
 from stereo_ore.synth.scene import Scene, scene
 from stereo_ore.synth.spec import SIZES, Camera, SceneSpec, Sensor
 from stereo_ore.synth.truth import LumpTruth
@@ -12,6 +12,7 @@ __all__ = [
     "NOISE_SHARES",
     "SIZES",
     "Camera",
+    "Direction",
     "LumpTruth",
     "Scene",
     "SceneSpec",

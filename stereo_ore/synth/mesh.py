@@ -103,29 +103,30 @@ def callipers(mesh: Mesh) -> tuple[F64, float, float]:
     """Sorted sides of the smallest box around a mesh, and its longest and shortest calliper [m].
 
     The box and the shortest calliper are sought over the normals of the convex hull, one a cell of 7°, the box's other
-    two directions in steps of 3°: within about half a percent of the exact values.
+    two directions in steps of 3°, then 0.2° for the best: within about half a percent of the exact values.
     """
     from scipy.spatial import ConvexHull
 
     hull = ConvexHull(mesh.vertices)
     points = mesh.vertices[hull.vertices]
     longest = max(float(np.linalg.norm(points - p, axis=1).max()) for p in points)
-    n = hull.equations[:, :3] * np.where(hull.equations[:, 2:3] < 0, -1, 1)
-    n = n[np.unique((n * 8).round().astype(int), axis=0, return_index=True)[1]]
-    u = np.cross(n, np.eye(3)[np.abs(n).argmin(1)])
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
-    a, b = u @ points.T, np.cross(n, u) @ points.T
-    widths = np.ptp(n @ points.T, axis=1)
-    boxes = np.array(
-        [(widths, np.ptp(a * c + b * s, axis=1), np.ptp(b * c - a * s, axis=1)) for c, s in _quarter_turn()]
-    )
-    boxes = boxes.transpose(0, 2, 1).reshape(-1, 3)
+    normals = hull.equations[:, :3] * np.where(hull.equations[:, 2:3] < 0, -1, 1)
+    normals = normals[np.unique((normals * 8).round().astype(int), axis=0, return_index=True)[1]]
+    widths, boxes = _boxes(points, normals, np.arange(0.0, 90.0, 3.0))
+    best = normals[boxes.prod(2).min(0).argmin()][None]
+    boxes = _boxes(points, best, np.arange(0.0, 90.0, 0.2))[1].reshape(-1, 3)
     return np.sort(boxes[boxes.prod(1).argmin()])[::-1], longest, float(widths.min())
 
 
-def _quarter_turn() -> F64:
-    angle = np.radians(np.arange(0, 90, 3))
-    return np.stack([np.cos(angle), np.sin(angle)], 1)
+def _boxes(points: F64, normals: F64, degrees: F64) -> tuple[F64, F64]:
+    """Widths (M,) of points along normals (M, 3), and sides (angles, M, 3) of boxes turned about each normal."""
+    u = np.cross(normals, np.eye(3)[np.abs(normals).argmin(1)])
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    a, b = u @ points.T, np.cross(normals, u) @ points.T
+    widths = np.ptp(normals @ points.T, axis=1)
+    turns = [(np.cos(t), np.sin(t)) for t in np.radians(degrees)]
+    sides = [(widths, np.ptp(a * c + b * s, axis=1), np.ptp(b * c - a * s, axis=1)) for c, s in turns]
+    return widths, np.array(sides).transpose(0, 2, 1)
 
 
 class RayCaster(Protocol):

@@ -12,8 +12,9 @@ from stereo_ore.synth.spec import BASELINE_M, SIZES, SceneSpec
 from stereo_ore.transforms import inverse
 from stereo_ore.types import F64, CameraModel, StereoCalibration
 
-DISTORTION_LEFT = (-0.04413, 0.01283, -0.00043, 0.00031, -0.00547)
-DISTORTION_RIGHT = (-0.04126, 0.01068, 0.00037, -0.00026, -0.00493)
+DISTORTION_LEFT = (-0.0441, 0.0108, -0.0004, 0.0003, -0.0021)
+DISTORTION_RIGHT = (-0.0413, 0.0098, 0.0004, -0.0003, -0.0019)
+"""k1 k2 p1 p2 k3 as strong as a ZED 2's; k3 is mild enough that the model does not fold in the corners."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ def raw_rig(spec: SceneSpec) -> StereoCalibration:
     def eye(distortion: tuple[float, ...]) -> CameraModel:
         centre = np.array([width, height]) / 2 + rng.normal(0, 0.005 * width, 2)
         focal = f * (1 + rng.normal(0, 0.002)) * np.array([1.0, 0.9995])
-        scaled = np.array(distortion) * rng.uniform(0.8, 1.2)
+        scaled = np.array(distortion) * rng.uniform(0.7, 1.0)
         return CameraModel(_pair(focal), _pair(centre), tuple(float(k) for k in scaled))
 
     left, right = eye(DISTORTION_LEFT), eye(DISTORTION_RIGHT)
