@@ -82,7 +82,7 @@ def _train(out: Path, kind: str, seeds: int) -> None:
     stereo = kind == "stereo"
     source = training.stereo_clouds(wanted) if stereo else training.geometry_clouds(wanted)
     clouds = list(_watched(source, seeds if stereo else 15 * seeds))
-    scorer = training.train(clouds, training.STEREO_SAMPLE if stereo else training.SAMPLE)
+    scorer = training.train(clouds, kind)
     out.mkdir(parents=True, exist_ok=True)
     path = out / f"{kind}.json"
     path.write_text(scorer.to_json(), encoding="utf-8")

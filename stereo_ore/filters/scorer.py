@@ -10,8 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from stereo_ore.filters.neighbours import map_rows
+from stereo_ore.filters.neighbours import chunks
 from stereo_ore.types import F32
+
+SMALL = 256
+"""Rows of a matrix product: few enough that the linear algebra library doesn't start threads, which cost far more."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +40,7 @@ class Network:
             logit = np.clip(hidden @ out + np.float32(self.output_bias), -30, 30)
             return np.asarray(1 / (1 + np.exp(-logit)), np.float32)
 
-        return map_rows(rows, len(features))
+        return np.concatenate([rows(part) for part in chunks(len(features), SMALL)])
 
 
 @dataclass(frozen=True)
