@@ -1,14 +1,17 @@
 """Fixtures with known truth that any test file may use.
 
 shared_data      Path of other people's recordings beside the repository; the test is skipped where they are absent.
+score_tool       the module that scores runs from outside, ../shared/tools/score.py; skipped where it is absent.
 synth_scene      a small scene (VGA, paper scale, four lumps) with exact depth, instances and solids: `synth.Scene`.
 synth_folder     the same scene written as a folder: left.png, right.png, calibration.yaml, site.yaml, truth files.
 empty_scene      the same screen without ore.
 flat_plane_pair  a textured tilted plane as a rectified pair with exact disparity; free of any ray caster.
 """
 
+import importlib.util
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import ModuleType
 
 import cv2
 import numpy as np
@@ -25,6 +28,19 @@ def shared_data() -> Path:
     if not SHARED.is_dir():
         pytest.skip("recordings of other people are not in ../shared/data")
     return SHARED
+
+
+@pytest.fixture(scope="session")
+def score_tool(shared_data: Path) -> ModuleType:
+    path = shared_data.parent / "tools" / "score.py"
+    if not path.is_file():
+        pytest.skip("the scoring tool is not in ../shared/tools")
+    spec = importlib.util.spec_from_file_location("score_tool", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def small_spec(lumps: int) -> synth.SceneSpec:

@@ -1,6 +1,5 @@
 """Made-up measurements: is their truth true, and are they the same every time?"""
 
-import importlib.util
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -22,19 +21,6 @@ from stereo_ore.synth.eye import Eye, depth_and_instance
 from stereo_ore.synth.model import Model, Part, vertex_normals
 from stereo_ore.transforms import apply, inverse
 from stereo_ore.types import CameraModel
-
-
-@pytest.fixture(scope="module")
-def score_tool(shared_data: Path) -> ModuleType:
-    path = shared_data.parent / "tools" / "score.py"
-    if not path.is_file():
-        pytest.skip("the scoring tool is not in ../shared/tools")
-    spec = importlib.util.spec_from_file_location("score_tool", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def points_of(scene: synth.Scene) -> np.ndarray:
