@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from stereo_ore.errors import CalibrationError
-from stereo_ore.types import F64, I32, U8
+from stereo_ore.types import F32, F64, I32, U8
 
 FEWEST_CORNERS = 8
 """Of a ChArUco board that is seen in part."""
@@ -102,14 +102,13 @@ def _chessboard(gray: U8, board: Board) -> list[F64]:
     found_new, new = cv2.findChessboardCornersSB(gray, size, flags=sector_flags)
     candidates = [np.asarray(new, np.float64).reshape(-1, 2)] if found_new else []
     rough = [np.asarray(px, np.float32).reshape(-1, 2) for found, px in ((found_old, old), (found_new, new)) if found]
-    return candidates + [_refine(gray, px, board) for px in rough]
+    return candidates + [_refine(gray, px, clear=1 / 3) for px in rough]
 
 
-def _refine(gray: U8, px: np.ndarray, board: Board) -> F64:
-    """Saddle points near the rough corners; the window stays clear of the neighbouring corners."""
-    grid = px.reshape(board.rows, board.columns, 2)
-    spacing = min(np.linalg.norm(np.diff(grid, axis=axis), axis=2).min() for axis in (0, 1))
-    half = int(np.clip(spacing / 3, 2, 11))
+def _refine(gray: U8, px: F32, clear: float) -> F64:
+    """Saddle points near the rough corners (N, 2); the window is `clear` times the distance of the nearest two."""
+    apart = np.linalg.norm(px[:, None] - px[None], axis=2) + np.diag([np.inf] * len(px))
+    half = int(np.clip(clear * apart.min(), 2, 11))
     stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 60, 1e-3)
     return np.asarray(cv2.cornerSubPix(gray, px.copy(), (half, half), (-1, -1), stop), np.float64).reshape(-1, 2)
 
@@ -140,4 +139,6 @@ def _charuco(gray: U8, board: Board, marker_m: float) -> Corners | None:
     px, ids, _, _ = detector.detectBoard(gray)
     if ids is None or len(ids) < FEWEST_CORNERS:
         return None
-    return Corners(np.asarray(ids, np.int32).ravel(), np.asarray(px, np.float64).reshape(-1, 2))
+    # OpenCV 4.10 gives these corners half a pixel off, 5.0 does not; the saddle points are the same for both.
+    refined = _refine(gray, np.asarray(px, np.float32).reshape(-1, 2), clear=(1 - marker_m / board.square_m) / 2)
+    return Corners(np.asarray(ids, np.int32).ravel(), refined)
