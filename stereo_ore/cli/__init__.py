@@ -13,7 +13,21 @@ import typer
 from stereo_ore import __version__
 from stereo_ore.errors import StereoOreError
 
-VERBS = ("run", "calibrate", "config", "synth", "serve", "replay", "evaluate", "filter", "bench", "report", "tune")
+VERBS = (
+    "run",
+    "calibrate",
+    "config",
+    "synth",
+    "serve",
+    "replay",
+    "evaluate",
+    "filter",
+    "bench",
+    "report",
+    "tune",
+    "view",
+    "export",
+)
 """Modules of this package; each has ``register(app)``."""
 
 EXIT_KNOWN_ERROR, EXIT_USAGE, EXIT_QUALITY = 1, 2, 3

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from stereo_ore.errors import FrameError, SourceError
+from stereo_ore.errors import FrameError, MissingExtraError, SourceError
 
 if TYPE_CHECKING:
     from stereo_ore.pipeline import Context
@@ -181,7 +181,10 @@ def _report(out: Path, recording: Source, indices: range, calibration: StereoCal
     check = write_check(out, recording, indices, calibration)
     for finding in check["findings"] if check else ():
         log.warning("calibration %s: %s", finding["severity"], finding["text"])
-    write_report(out)
+    try:
+        write_report(out)
+    except MissingExtraError as error:
+        log.warning("no report.html: %s", error)
 
 
 @contextmanager
