@@ -65,13 +65,11 @@ class GrizzlyConfig(StageConfig):
 
     distance_m: float | None = param(None, "inlier distance of the plane; null: from the depth noise", "m", gt=0)
     max_tilt_rad: float | None = param(None, "largest angle between screen normal and viewing direction", "rad")
-    iterations: int = param(2000, "RANSAC hypotheses", ge=10)
+    iterations: int = param(500, "RANSAC hypotheses", ge=10)
     seed: int = param(0, "seed of the RANSAC")
     sigmas: float = param(2.5, "inlier distance in standard deviations of the depth noise", gt=0)
-    min_contrast: float = param(
-        0.15, "a plane whose bars explain less of what is solid and open is no screen", ge=0, le=1
-    )
-    refinements: int = param(3, "times the plane found is fitted again to its bars", ge=0)
+    min_contrast: float = param(0.03, "share of what is solid and open that bars must explain in a screen", ge=0, le=1)
+    refinements: int = param(2, "times the plane found is fitted again to its bars", ge=0)
 
 
 class SegmentConfig(StageConfig):

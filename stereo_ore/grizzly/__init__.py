@@ -45,9 +45,11 @@ def _measured(sample: Sample, site: Site, plane: Plane) -> Grizzly:
     """The site's plane with its residual on the bars and how far the cloud disagrees with it."""
     if len(sample) < MIN_POINTS:
         return _grizzly(plane, "site", None, site, {"points": len(sample)})
-    fit = fit_bars(sample, plane, site.opening_m, site.bar_width_m)
+    # Shiny bars are measured a little off; they are found in the plane that the cloud has near the site's.
+    near = refine(sample, plane, BarFit(None, 0.0))
+    fit = fit_bars(sample, near, site.opening_m, site.bar_width_m)
     rms, inliers = residual(sample, plane, fit)
-    other = refine(sample, plane, fit)
+    other = refine(sample, near, fit)
     tilt = float(np.arccos(np.clip(other.normal @ plane.normal, -1, 1)))
     middle = np.median(sample.xyz, axis=0)
     gap = float(other.height(middle) - plane.height(middle))

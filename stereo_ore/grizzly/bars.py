@@ -12,12 +12,14 @@ from stereo_ore.types import F64, Bars, Mask, Plane
 if TYPE_CHECKING:
     from stereo_ore.grizzly.plane import Sample
 
-COARSE, FINE = 60, 21
+COARSE, FINE = 60, 13
 """Directions tried over half a turn, and then around the best of them."""
-BINS = 400
+BINS, FINE_BINS = 400, 4000
 """Bins across the screen, and PHASES across one pitch."""
 PHASES = 60
-MIN_BARS, MAX_BARS = 2, 40
+SEARCHED = 2000
+"""Points that directions are tried on."""
+MIN_BARS, MAX_BARS = 3, 40
 MIN_DUTY, MAX_DUTY = 0.08, 0.6
 
 
@@ -41,7 +43,7 @@ def fit_bars(sample: Sample, plane: Plane, opening_m: float | None, bar_width_m:
     """Bars of a plane.
 
     Each pixel's ray is cut with the plane: where the point seen lies on the plane the plane is solid there (+1), where
-    it lies beneath the plane is open (−1); a point above says nothing. The direction is the one along which this
+    it lies well beneath the plane is open (−1); a point above says nothing. The direction is the one along which this
     signal varies least; the pitch the one whose folded signal has the best window of solid.
 
     Parameters
@@ -72,7 +74,7 @@ def fit_bars(sample: Sample, plane: Plane, opening_m: float | None, bar_width_m:
 def _rays_in_plane(sample: Sample, plane: Plane) -> tuple[F64, F64, F64]:
     """Where each ray meets the plane (N, 2) [m], solid +1 or open −1 (N,), and the plane's axes (2, 3)."""
     height = plane.height(sample.xyz)
-    known = height < sample.tolerance
+    known = (height < sample.tolerance) & ((height > -sample.tolerance) | (height < -2 * sample.tolerance))
     xyz, height = sample.xyz[known], height[known]
     signal = np.where(height > -sample.tolerance[known], 1.0, -1.0)
     hit = xyz * (plane.offset / (height + plane.offset))[:, None]
@@ -98,19 +100,20 @@ def _explained(group: np.ndarray, signal: F64) -> float:
 
 def _direction(q: F64, signal: F64) -> float:
     """Angle of the bars in the plane [rad]: the signal summed along them varies most across them."""
+    every = max(1, len(q) // SEARCHED)
+    q, signal = q[::every], signal[::every]
 
     def contrast(angle: float) -> float:
         position = q @ np.array([-np.sin(angle), np.cos(angle)])
-        low, high = np.percentile(position, (1, 99))
-        group = np.clip((position - low) / max(high - low, 1e-9) * (BINS // 2), 0, BINS // 2)
-        return _explained(group.astype(np.intp), signal)
+        low, high = position.min(), position.max()
+        return _explained(((position - low) / max(high - low, 1e-9) * (BINS // 2)).astype(np.intp), signal)
 
-    angles = np.arange(COARSE) * np.pi / COARSE
-    best = angles[int(np.argmax([contrast(a) for a in angles]))]
-    for span in (np.pi / COARSE, np.pi / COARSE / 8):
-        angles = best + np.linspace(-span, span, FINE)
-        best = angles[int(np.argmax([contrast(a) for a in angles]))]
-    return float(best)
+    best, span = 0.0, np.pi / 2
+    for count in (COARSE, FINE, FINE):
+        angles = best + np.linspace(-span, span, count, endpoint=count != COARSE)
+        best = float(angles[int(np.argmax([contrast(a) for a in angles]))])
+        span = np.pi / COARSE if count == COARSE else span / 8
+    return best
 
 
 def _comb(
@@ -120,27 +123,34 @@ def _comb(
     low, high = np.percentile(position, (1, 99))
     extent = float(high - low)
     if opening_m is not None and bar_width_m is not None:
-        pitches = (opening_m + bar_width_m) * np.linspace(0.98, 1.02, 9)
+        pitches = (opening_m + bar_width_m) * np.linspace(0.995, 1.005, 5)
         if pitches[0] > extent:
             return None
     else:
         pitches = extent / np.geomspace(MIN_BARS, MAX_BARS, 240)
-    balanced = _balanced(position, signal, low, extent)
-    folds = [_best_window(position, balanced, p, bar_width_m) for p in pitches]
-    best = int(np.argmax([f[0] for f in folds]))
-    if opening_m is None or bar_width_m is None:
-        pitches = pitches[best] * np.linspace(0.97, 1.03, 31)
-        folds = [_best_window(position, balanced, p, bar_width_m) for p in pitches]
+    centres, balanced = _balanced(position, signal, low, extent)
+    for wide in (True, False) if opening_m is None or bar_width_m is None else (True,):
+        folds = [_best_window(centres, balanced, p, bar_width_m) for p in pitches]
         best = int(np.argmax([f[0] for f in folds]))
-    return float(pitches[best]), folds[best][1], folds[best][2]
+        pitch = float(pitches[best])
+        if wide:
+            pitches = pitch * np.linspace(0.97, 1.03, 31)
+    return pitch, folds[best][1], folds[best][2]
 
 
-def _balanced(position: F64, signal: F64, low: float, extent: float) -> F64:
-    """The signal with each bin across the screen brought to the same weight, solid and open to the same sum."""
-    group = np.clip((position - low) / max(extent, 1e-9) * BINS, 0, BINS).astype(np.intp)
-    even = signal / np.bincount(group)[group]
+def _balanced(position: F64, signal: F64, low: float, extent: float) -> tuple[F64, F64]:
+    """The signal in fine bins across the screen: bin centres [m] and sums.
+
+    Wide bins are first brought to the same weight, then solid and open to the same sum.
+    """
+    inside = (position >= low) & (position < low + extent)
+    position, signal = position[inside], signal[inside]
+    share = (position - low) / max(extent, 1e-9)
+    even = signal / np.bincount((share * BINS).astype(np.intp))[(share * BINS).astype(np.intp)]
     solid = even > 0
-    return np.asarray(np.where(solid, even / even[solid].sum(), -even / even[~solid].sum()))
+    even = np.where(solid, even / max(even[solid].sum(), 1e-9), -even / min(even[~solid].sum(), -1e-9))
+    sums = np.asarray(np.bincount((share * FINE_BINS).astype(np.intp), even, FINE_BINS)[:FINE_BINS], dtype=np.float64)
+    return low + (np.arange(FINE_BINS) + 0.5) * extent / FINE_BINS, sums
 
 
 def _best_window(position: F64, signal: F64, pitch: float, width_m: float | None) -> tuple[float, float, float]:

@@ -11,12 +11,14 @@ from stereo_ore.config import GrizzlyConfig
 from stereo_ore.grizzly.bars import BarFit
 from stereo_ore.types import F64, Mask, Plane, Surface
 
-SAMPLE = 20_000
+SAMPLE = 8_000
 """Points looked at: enough to place a plane to a tenth of the depth noise."""
-SCORED = 2_500
+SCORED = 600
 """Of these, the ones each RANSAC hypothesis is scored on."""
-CANDIDATES = 5
+CANDIDATES = 3
 MIN_ANGLE_RAD = 0.1
+NARROWING = (1.0, 0.7, 0.7)
+"""Inlier distances of successive fits, so that a frame a little higher than the bars loses its pull."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,7 @@ def candidate_planes(sample: Sample, config: GrizzlyConfig) -> Iterator[tuple[Pl
     left = np.ones(len(sample), bool)
     for _ in range(CANDIDATES):
         index = np.flatnonzero(left)
-        if len(index) < SCORED // 10:
+        if len(index) < SCORED // 4:
             return
         chosen = rng.choice(index, min(SCORED, len(index)), replace=False)
         plane = _ransac(sample, chosen, config, rng)
@@ -86,8 +88,9 @@ def _ransac(sample: Sample, chosen: np.ndarray, config: GrizzlyConfig, rng: np.r
     if not keep.any():
         return None
     normals, offsets = normals[keep], offsets[keep]
-    inlier = np.abs(normals @ xyz.T - offsets[:, None]) < tolerance
-    score = inlier @ area * _spread(inlier, xyz)
+    distance = normals.astype(np.float32) @ xyz.T.astype(np.float32) - offsets.astype(np.float32)[:, None]
+    inlier = np.abs(distance) < tolerance.astype(np.float32)
+    score = inlier.astype(np.float32) @ area.astype(np.float32) * _spread(inlier, xyz)
     best = int(np.argmax(score))
     return Plane(normals[best], float(offsets[best]))
 
@@ -121,7 +124,10 @@ def _least_squares(sample: Sample, inlier: Mask, fallback: Plane) -> Plane:
 
 def refine(sample: Sample, plane: Plane, fit: BarFit) -> Plane:
     """The plane through the points on the bars alone: not the frame, nor ore that happens to lie at their height."""
-    return _least_squares(sample, _on_bars(sample, plane, fit), plane)
+    for narrower in NARROWING:
+        near = np.abs(plane.height(sample.xyz)) < narrower * sample.tolerance
+        plane = _least_squares(sample, near & fit.covers(sample.xyz) if fit.bars is not None else near, plane)
+    return plane
 
 
 def residual(sample: Sample, plane: Plane, fit: BarFit) -> tuple[float | None, float]:
