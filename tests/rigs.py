@@ -8,12 +8,16 @@ import numpy as np
 import yaml
 from hypothesis import strategies as st
 
+from stereo_ore.calibration.detect import Board
 from stereo_ore.calibration.geometry import make_calibration
 from stereo_ore.calibration.zed import SIZES
 from stereo_ore.rectify import rectification
-from stereo_ore.types import F64, CameraModel, StereoCalibration
+from stereo_ore.transforms import apply
+from stereo_ore.types import F64, U8, CameraModel, StereoCalibration
 
 SIZE = (1280, 720)
+SMALL = (640, 480)
+K_SMALL = np.array([[520.0, 0, 320], [0, 520, 240], [0, 0, 1]])
 
 
 def number(low: float, high: float) -> st.SearchStrategy[float]:
@@ -173,3 +177,43 @@ def same(one: StereoCalibration, other: StereoCalibration, tolerance: float = 0.
         and len(numbers[0]) == len(numbers[1])
         and np.abs(numbers[0] - numbers[1]).max() <= tolerance
     )
+
+
+def small_rig() -> StereoCalibration:
+    """The rectified rig of `rendered_pair`."""
+    eye = CameraModel((520.0, 520.0), (320.0, 240.0))
+    return make_calibration(
+        "small", image_size=SMALL, left=eye, right=eye, translation_m=(-0.12, 0, 0), images="rectified"
+    )
+
+
+def rendered_pair(board: Board, T_camera_board: F64) -> tuple[U8, U8]:
+    """What both eyes of `small_rig` see of a board."""
+    T_right_board = T_camera_board.copy()
+    T_right_board[0, 3] -= 0.12
+    return rendered(board, T_camera_board)[0], rendered(board, T_right_board)[0]
+
+
+def board_image(board: Board, square_px: int = 40) -> U8:
+    """The printed board with a margin of one square."""
+    columns, rows = board.columns + 1, board.rows + 1
+    if board.marker_m is not None:
+        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
+        target = cv2.aruco.CharucoBoard((columns, rows), board.square_m, board.marker_m, dictionary)
+        face = target.generateImage((columns * square_px, rows * square_px))
+    else:
+        face = np.kron(np.indices((rows, columns)).sum(0) % 2, np.ones((square_px, square_px))) * 255
+    return np.pad(face.astype(np.uint8), square_px, constant_values=255)
+
+
+def rendered(board: Board, T_camera_board: F64) -> tuple[U8, F64]:
+    """A picture of a board without distortion, and where its corners are."""
+    square_px = 40
+    H_board_print = np.diag([board.square_m / square_px, board.square_m / square_px, 1.0])
+    H_board_print[:2, 2] = -(2 * square_px - 0.5) * board.square_m / square_px
+    H = K_SMALL @ T_camera_board[:3, [0, 1, 3]] @ H_board_print
+    page = cv2.warpPerspective(
+        board_image(board, square_px), H, SMALL, flags=cv2.INTER_AREA, borderMode=cv2.BORDER_CONSTANT, borderValue=150
+    )
+    seen = apply(T_camera_board, board.points) @ K_SMALL.T
+    return cv2.GaussianBlur(page, (0, 0), 0.7), seen[:, :2] / seen[:, 2:]

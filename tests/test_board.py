@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from rigs import SIZE, example_rig, rectified_to_raw
+from rigs import SIZE, SMALL, example_rig, rectified_to_raw, rendered, rendered_pair
 
 from stereo_ore.calibration import load
 from stereo_ore.calibration.board import BoardView, calibrate_stereo, draw_coverage, find_view, report
@@ -15,12 +15,10 @@ from stereo_ore.calibration.detect import Board, Corners, find_corners, plane_re
 from stereo_ore.calibration.pose import from_vector
 from stereo_ore.errors import CalibrationError
 from stereo_ore.transforms import apply
-from stereo_ore.types import F64, U8
+from stereo_ore.types import F64
 
 BOARD = Board(9, 6, 0.04)
 CHARUCO = Board(7, 5, 0.05, 0.037)
-SMALL = (640, 480)
-K_SMALL = np.array([[520.0, 0, 320], [0, 520, 240], [0, 0, 1]])
 
 
 def poses(count: int, seed: int = 0) -> list[F64]:
@@ -101,31 +99,6 @@ def test_an_impossible_board_is_refused(fields: tuple[object, ...], word: str) -
         Board(*fields)
 
 
-def board_image(board: Board, square_px: int = 40) -> U8:
-    """The printed board with a margin of one square."""
-    columns, rows = board.columns + 1, board.rows + 1
-    if board.marker_m is not None:
-        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
-        target = cv2.aruco.CharucoBoard((columns, rows), board.square_m, board.marker_m, dictionary)
-        face = target.generateImage((columns * square_px, rows * square_px))
-    else:
-        face = np.kron(np.indices((rows, columns)).sum(0) % 2, np.ones((square_px, square_px))) * 255
-    return np.pad(face.astype(np.uint8), square_px, constant_values=255)
-
-
-def rendered(board: Board, T_camera_board: F64) -> tuple[U8, F64]:
-    """A picture of a board without distortion, and where its corners are."""
-    square_px = 40
-    H_board_print = np.diag([board.square_m / square_px, board.square_m / square_px, 1.0])
-    H_board_print[:2, 2] = -(2 * square_px - 0.5) * board.square_m / square_px
-    H = K_SMALL @ T_camera_board[:3, [0, 1, 3]] @ H_board_print
-    page = cv2.warpPerspective(
-        board_image(board, square_px), H, SMALL, flags=cv2.INTER_AREA, borderMode=cv2.BORDER_CONSTANT, borderValue=150
-    )
-    seen = apply(T_camera_board, board.points) @ K_SMALL.T
-    return cv2.GaussianBlur(page, (0, 0), 0.7), seen[:, :2] / seen[:, 2:]
-
-
 @pytest.mark.parametrize("board", [BOARD, CHARUCO], ids=["chessboard", "charuco"])
 @pytest.mark.parametrize("turn", [0.0, np.pi / 2, np.pi, -2.0])
 def test_corners_are_found_in_order_whatever_the_turn(board: Board, turn: float) -> None:
@@ -150,6 +123,20 @@ def test_no_board_and_half_a_board(tmp_path: Path) -> None:
     view = find_view("empty", rendered(BOARD, T)[0], empty, BOARD)
     assert (view.used, view.reason) == (False, "no board found in the right image")
     assert plane_residual(truth + np.array([3, 0]) * (np.arange(35) % 2)[:, None], CHARUCO) > 1
+
+
+def test_rendered_charuco_pairs_give_the_camera_back() -> None:
+    turns = ((0.5, 0, 0), (-0.5, 0, 0.2), (0, 0.5, 0), (0, -0.5, -0.2), (0.4, 0.4, 0), (-0.4, 0.4, 0), (0.3, -0.4, 0.1))
+    shifts = ((0, 0), (-0.1, 0.05), (0.1, 0.05), (-0.1, -0.05), (0.1, -0.05), (0.05, 0), (-0.05, 0))
+    views = []
+    for index, (turn, shift) in enumerate(zip(turns, shifts, strict=True)):
+        T = from_vector(np.array([*turn, shift[0] - 0.13, shift[1] - 0.1, 0.55 + 0.05 * index]))
+        views.append(find_view(f"view {index}", *rendered_pair(CHARUCO, T), CHARUCO))
+    result = calibrate_stereo(views, CHARUCO, SMALL, 4)
+    assert result.rms_px < 0.15
+    assert len(result.used) == 7
+    assert -result.calibration.t_right_left[0] == pytest.approx(0.12, abs=0.001)
+    assert result.calibration.left.focal_px[0] == pytest.approx(520, rel=0.01)
 
 
 def test_the_real_set_of_boards(shared_data: Path, tmp_path: Path) -> None:

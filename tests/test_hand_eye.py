@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from rigs import SIZE, example_rig, rectified_to_raw
+from rigs import SIZE, example_rig, rectified_to_raw, rendered_pair, small_rig
 
 from stereo_ore.calibration import save
 from stereo_ore.calibration.detect import Board, Corners
@@ -237,3 +237,33 @@ def test_the_command_writes_a_site_with_residuals(tmp_path: Path) -> None:
     assert strict.returncode == 3
     nothing = subprocess.run(line[:3] + line[5:] + [tmp_path / "x.yaml"], capture_output=True, text=True, check=False)
     assert (nothing.returncode, "--points" in nothing.stderr) == (2, True)
+
+
+def test_the_command_finds_the_arm_from_pictures_of_a_board(tmp_path: Path) -> None:
+    board = Board(7, 5, 0.05, 0.037)
+    T_tool_board = from_vector(np.array([0.1, -0.2, 0.3, -0.25, -0.15, 0.1]))
+    rows = ["name,x_m,y_m,z_m,rx_rad,ry_rad,rz_rad"]
+    turns = ((0.5, 0, 0), (-0.4, 0.1, 0.3), (0, 0.5, -0.3), (0.1, -0.5, 0.2), (0.3, 0.4, 0.5))
+    for index, turn in enumerate(turns):
+        T_camera_board = from_vector(np.array([*turn, -0.1, -0.05 - 0.02 * index, 0.6 + 0.04 * index]))
+        vector = to_vector(T_ARM_CAMERA @ T_camera_board @ inverse(T_tool_board))
+        rows.append(",".join(map(str, [f"{index:02d}", *vector[3:], *vector[:3]])))
+        for side, image in zip(("left", "right"), rendered_pair(board, T_camera_board), strict=True):
+            cv2.imwrite(str(tmp_path / f"{side}{index:02d}.png"), image)
+    save(small_rig(), tmp_path / "camera.yaml")
+    line = ["stereo-ore", "calibrate", "hand-eye", tmp_path, "--poses", table(tmp_path, *rows), "--board", "7x5"]
+    line += [
+        "--square-mm",
+        "50",
+        "--marker-mm",
+        "37",
+        "--calib",
+        tmp_path / "camera.yaml",
+        "--out",
+        tmp_path / "s.yaml",
+    ]
+    done = subprocess.run(line, capture_output=True, text=True, check=False)
+    assert "5 of 5 used" in done.stdout, done.stderr
+    found = load_site(tmp_path / "s.yaml").T_arm_camera
+    middle = np.array([0, 0, 0.7])
+    assert 1000 * np.linalg.norm(apply(found, middle) - apply(T_ARM_CAMERA, middle)) < 3
