@@ -234,10 +234,11 @@ def test_without_a_volume_the_whole_image_and_a_fifth_of_its_width_are_searched(
 
 def test_narrowing_keeps_what_the_frame_shows(flat_plane_pair) -> None:
     pair, truth = flat_plane_pair.pair, flat_plane_pair.disparity
-    region = matching.narrow(pair, matching.find_region(RIG, None, CONFIG), None, CONFIG)
+    region = matching.narrow(pair, whole(RIG, 0, 128), None, CONFIG)
     assert region.min_disparity <= truth.min() + 1
     assert region.min_disparity + region.num_disparities > truth.max()
     assert region.num_disparities < 96
+    assert matching.narrow(pair, whole(RIG, 0, 64), None, CONFIG) == whole(RIG, 0, 64)
     off = MatchingConfig(narrow=False)
     assert matching.narrow(pair, whole(RIG), None, off) == whole(RIG)
 
@@ -255,6 +256,6 @@ def test_narrowing_looks_behind_the_volume_and_no_wider_than_it() -> None:
 
 def test_narrowing_gives_up_where_nothing_can_be_matched() -> None:
     black = np.zeros((320, 480, 3), np.uint8)
-    region = whole(RIG, 3, 48)
+    region = whole(RIG, 3, 128)
     assert matching.narrow(RectifiedPair(black, black, RIG), region, None, CONFIG).num_disparities >= 16
     assert np.isnan(matching.match(RectifiedPair(black, 255 - black, RIG), region, CONFIG).values).mean() >= 0

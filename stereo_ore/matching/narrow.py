@@ -14,13 +14,16 @@ from stereo_ore.matching.region import MARGIN_PX, round_up
 from stereo_ore.types import F32, U8, Mask, RectifiedPair, Region, Rig, Volume
 
 COARSE_WIDTH_PX = 320
-"""Width to which the pair is reduced."""
+"""Largest width to which the pair is reduced; by two at least."""
 
 COARSE = {"mode": "3way", "uniqueness": 10, "lr_max_diff": 1.0, "speckle_size": 20, "speckle_range": 1.0}
 """A noisy disparity of the small copy would widen the range, so doubt decides against it; no lump is a speckle."""
 
 FAR_SHARE = 0.005
 """Share of the far end of the disparities that may be missed: nothing of interest is there, but wrong matches are."""
+
+SHORT_RANGE = 96
+"""Without a volume so few disparities are sooner searched than looked over."""
 
 LEAST_SHARE = 0.02
 """Below this share of matched pixels the small copy is not believed."""
@@ -43,9 +46,10 @@ def narrow(pair: RectifiedPair, region: Region, volume: Volume | None, config: M
     config : MatchingConfig
         `narrow` false, or an explicit number of disparities: the region is returned as it is.
     """
-    if not config.narrow or config.num_disparities is not None:
+    short = volume is None and region.num_disparities <= SHORT_RANGE
+    if not config.narrow or config.num_disparities is not None or short:
         return region
-    scale = max(pair.rig.width // COARSE_WIDTH_PX, 1)
+    scale = max(-(-pair.rig.width // COARSE_WIDTH_PX), 2)
     coarse = _coarse_region(pair.rig, region, scale)
     images = sgbm.crop(_reduce(grey(pair.left), scale), _reduce(grey(pair.right), scale), coarse)
     matched, _, seen = consistency.match_both(images, config.model_copy(update=COARSE))

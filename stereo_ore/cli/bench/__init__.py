@@ -6,7 +6,7 @@ import importlib
 
 import typer
 
-SUBVERBS = ("filter",)
+SUBVERBS = ("filter", "stereo")
 """Modules of this package; each has ``register(app)``."""
 
 

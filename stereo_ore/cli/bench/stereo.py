@@ -1,0 +1,45 @@
+"""``stereo-ore bench stereo``: matching against truth, beside OpenCV's own."""
+
+from __future__ import annotations
+
+import json
+import logging
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+log = logging.getLogger(__name__)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the sub-verb."""
+    app.command("stereo")(stereo)
+
+
+def stereo(
+    folders: Annotated[list[Path], typer.Argument(help="Folders that hold Middlebury sets or scenes with truth.")],
+    out: Annotated[Path | None, typer.Option(help="Folder for bench-stereo.json and .md.")] = None,
+    repeats: Annotated[int, typer.Option(min=1, max=50, help="Timed runs of each matcher; the median counts.")] = 3,
+    readme: Annotated[Path | None, typer.Option(help="Put the tables between its `bench stereo` markers.")] = None,
+) -> None:
+    """Compare matchers: errors over all, seen and ore pixels, density, time. OpenCV's run with their sample settings.
+
+    Example: `stereo-ore bench stereo ../shared/data/stereo_gt ../shared/data/scenes_dev --out bench`
+    """
+    from stereo_ore.bench import stereo as bench
+    from stereo_ore.bench import stereo_sets, tables
+
+    rows: list[bench.Row] = []
+    for data in (data for folder in folders for data in stereo_sets.find_sets(folder)):
+        log.info("%s", data.name)
+        rows += bench.judge_all([data], repeats)
+    text = bench.markdown(rows)
+    if out:
+        out.mkdir(parents=True, exist_ok=True)
+        (out / "bench-stereo.json").write_text(json.dumps([asdict(row) for row in rows], indent=1) + "\n", "utf-8")
+        (out / "bench-stereo.md").write_text(text, "utf-8")
+    if readme:
+        tables.insert(readme, "bench stereo", text)
+    typer.echo(text)
