@@ -129,7 +129,7 @@ def _log_ores(stream: RecordingStream, record: Json) -> None:
 
     solids = [ore for ore in record["ores"] if ore["box"]]
     if solids:
-        axes = np.array([ore["box"]["camera"]["axes"] for ore in solids]).transpose(0, 2, 1)
+        axes = np.array([ore["box"]["camera"]["axes"] for ore in solids], np.float64).transpose(0, 2, 1)
         axes[:, :, 2] *= np.sign(np.linalg.det(axes))[:, None]
         boxes = rr.Boxes3D(
             centers=[ore["box"]["camera"]["centre"] for ore in solids],

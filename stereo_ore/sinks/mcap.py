@@ -145,7 +145,7 @@ class _Ros:
 
     def _detection(self, ore: Json) -> Any:
         box = ore["box"]["camera"]
-        axes = np.array(box["axes"]).T
+        axes = np.array(box["axes"], np.float64).T
         axes[:, 2] *= np.sign(np.linalg.det(axes))
         pose = self._pose(box["centre"], axes)
         label = {True: "oversize", False: "passes", None: "unknown"}[ore["oversize"]]
