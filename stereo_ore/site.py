@@ -7,8 +7,9 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import yaml
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BeforeValidator, Field
 
+from stereo_ore.config.fields import Number, Section
 from stereo_ore.config.loader import validate
 from stereo_ore.errors import ConfigError
 from stereo_ore.transforms import inverse, rotate, rotation_fault
@@ -19,24 +20,13 @@ FORMAT = "stereo_ore/site"
 FARTHEST_ARM_M = 100.0
 
 
-def _no_bool(value: object) -> object:
-    if isinstance(value, bool):
-        raise ValueError("must be a number, not true or false")
-    return value
-
-
-Number = Annotated[float, BeforeValidator(_no_bool)]
 Length = Annotated[Number, Field(gt=0, lt=50)]
 Vector = tuple[Number, Number, Number]
 Row = tuple[Number, Number, Number, Number]
 Frame = Literal["arm", "camera"]
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class _Box(_Section):
+class _Box(Section):
     min_m: Vector
     max_m: Vector
 
@@ -45,7 +35,7 @@ class _Volume(_Box):
     frame: Frame
 
 
-class _Plane(_Section):
+class _Plane(Section):
     frame: Frame
     normal: Vector
     offset_m: Number
@@ -56,13 +46,13 @@ def _plane_or_auto(value: object) -> object:
     return None if value == "auto" else value
 
 
-class _Grizzly(_Section):
+class _Grizzly(Section):
     opening_m: Length | None = None
     bar_width_m: Length | None = None
     plane: Annotated[_Plane | None, BeforeValidator(_plane_or_auto)] = None
 
 
-class HandEyeRecord(_Section):
+class HandEyeRecord(Section):
     """How `arm_from_camera` was found, and how well it fits; for the reader of the file."""
 
     method: str
@@ -72,7 +62,7 @@ class HandEyeRecord(_Section):
     max_mm: Number
 
 
-class _File(_Section):
+class _File(Section):
     format: Literal["stereo_ore/site"]
     version: Literal[1]
     arm_from_camera: tuple[Row, Row, Row, Row] | None = None

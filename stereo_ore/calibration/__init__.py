@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from stereo_ore.calibration import kalibr, middlebury, native, opencv, ros, zed
-from stereo_ore.calibration.formats import Format, Wishes
+from stereo_ore.calibration.formats import Format, Hints
 from stereo_ore.calibration.geometry import Images, check_image_size
 from stereo_ore.calibration.native import dump, save
 from stereo_ore.errors import CalibrationError
@@ -56,5 +56,5 @@ def load(
     text = read_text(path, CalibrationError)
     for reader in FORMATS.values():
         if reader.recognises(text):
-            return reader.read(path, text, Wishes(images, image_size, unit_m, eyes))
+            return reader.read(path, text, Hints(images, image_size, unit_m, eyes))
     raise CalibrationError(f"is in no known calibration format ({', '.join(FORMATS)})", file=path)

@@ -15,7 +15,7 @@ from stereo_ore.types import F64, StereoCalibration
 
 
 @dataclass(frozen=True)
-class Wishes:
+class Hints:
     """What a file may not say of itself.
 
     Attributes
@@ -42,13 +42,13 @@ class Format(Protocol):
     def recognises(self, text: str) -> bool:
         """Whether the text of a file is in this format."""
 
-    def read(self, path: Path, text: str, wishes: Wishes) -> StereoCalibration:
+    def read(self, path: Path, text: str, hints: Hints) -> StereoCalibration:
         """The calibration in it."""
 
 
-def size_of(path: Path, in_file: Sequence[Any] | None, wishes: Wishes) -> tuple[int, int]:
+def size_of(path: Path, in_file: Sequence[Any] | None, hints: Hints) -> tuple[int, int]:
     """The image size that the file gives or, when it gives none, that the user gave."""
-    size = in_file or wishes.image_size
+    size = in_file or hints.image_size
     if size is None:
         raise CalibrationError("does not say the image size", file=path, remedy="Give it with --size WxH")
     values = numbers(path, "image size", size, 2)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from stereo_ore.calibration.formats import Wishes, numbers, size_of
+from stereo_ore.calibration.formats import Hints, numbers, size_of
 from stereo_ore.calibration.geometry import make_calibration
 from stereo_ore.config.loader import nearest
 from stereo_ore.errors import CalibrationError
@@ -24,8 +24,8 @@ def recognises(text: str) -> bool:
     return bool(_CHAIN.search(text)) and "distortion_model" in text
 
 
-def read(path: Path, text: str, wishes: Wishes) -> StereoCalibration:
-    """Two cameras of a chain; `wishes.eyes` says which when there are more.
+def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
+    """Two cameras of a chain; `hints.eyes` says which when there are more.
 
     Raises
     ------
@@ -33,17 +33,17 @@ def read(path: Path, text: str, wishes: Wishes) -> StereoCalibration:
         When a key is missing, a model is not radtan or equidistant, or the two cameras are not said.
     """
     chain = _cameras(path, parse_yaml(text, path, CalibrationError))
-    if wishes.eyes is None and len(chain) != 2:
+    if hints.eyes is None and len(chain) != 2:
         remedy = "Say which are left and right with --eyes L,R"
         raise CalibrationError(f"holds {len(chain)} cameras: {', '.join(map(str, chain))}", file=path, remedy=remedy)
-    left, right = wishes.eyes or tuple(chain)
+    left, right = hints.eyes or tuple(chain)
     for index in (left, right):
         if index not in chain:
             raise CalibrationError(f"has no cam{index}{nearest(f'cam{index}', (f'cam{i}' for i in chain))}", file=path)
-    if wishes.images == "rectified":
+    if hints.images == "rectified":
         raise CalibrationError("Kalibr describes raw images, not rectified ones", file=path)
     T_right_left = _to_first(path, chain, right) @ inverse(_to_first(path, chain, left))
-    sizes = [size_of(path, chain[index].get("resolution"), wishes) for index in (left, right)]
+    sizes = [size_of(path, chain[index].get("resolution"), hints) for index in (left, right)]
     if sizes[0] != sizes[1]:
         raise CalibrationError(f"cam{left} has images of {sizes[0]} px, cam{right} of {sizes[1]}", file=path)
     return make_calibration(

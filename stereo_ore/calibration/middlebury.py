@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from stereo_ore.calibration.formats import Wishes, numbers, size_of
+from stereo_ore.calibration.formats import Hints, numbers, size_of
 from stereo_ore.calibration.geometry import make_calibration
 from stereo_ore.config.loader import nearest
 from stereo_ore.errors import CalibrationError
@@ -20,10 +20,10 @@ def recognises(text: str) -> bool:
     return bool(_CAMERA.search(text))
 
 
-def read(path: Path, text: str, wishes: Wishes) -> StereoCalibration:
+def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
     """The calibration; doffs is the difference of the principal points and must agree with the file's own entry."""
     entries = {key.strip(): value.strip() for key, _, value in (line.partition("=") for line in text.splitlines())}
-    if wishes.images == "raw":
+    if hints.images == "raw":
         raise CalibrationError("a Middlebury calibration describes rectified images, not raw ones", file=path)
     left, right = (_matrix(path, entries, key) for key in ("cam0", "cam1"))
     doffs = right[0, 2] - left[0, 2]
@@ -32,7 +32,7 @@ def read(path: Path, text: str, wishes: Wishes) -> StereoCalibration:
     size = [_number(path, entries, key) for key in ("width", "height")] if "width" in entries else None
     return make_calibration(
         path,
-        image_size=size_of(path, size, wishes),
+        image_size=size_of(path, size, hints),
         left=_camera(left),
         right=_camera(right),
         translation_m=(-round(_number(path, entries, "baseline") / 1000, 12), 0.0, 0.0),

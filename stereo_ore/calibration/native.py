@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import yaml
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import Field
 
-from stereo_ore.calibration.formats import Wishes
+from stereo_ore.calibration.formats import Hints
 from stereo_ore.calibration.geometry import Images, make_calibration, rotation_vector
+from stereo_ore.config.fields import Number, Positive, Section
 from stereo_ore.config.loader import validate
 from stereo_ore.errors import CalibrationError
 from stereo_ore.types import CameraModel, StereoCalibration
@@ -18,22 +19,7 @@ from stereo_ore.yaml_io import parse_yaml
 FORMAT = "stereo_ore/stereo-calibration"
 
 
-def no_bool(value: object) -> object:
-    """Refuse true and false where a number is meant; pydantic alone takes them for 1 and 0."""
-    if isinstance(value, bool):
-        raise ValueError("must be a number, not true or false")
-    return value
-
-
-Number = Annotated[float, BeforeValidator(no_bool)]
-Positive = Annotated[Number, Field(gt=0)]
-
-
-class _Section(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class _Eye(_Section):
+class _Eye(Section):
     focal_px: tuple[Positive, Positive]
     principal_point_px: tuple[Number, Number]
     distortion: tuple[Number, ...] = ()
@@ -43,12 +29,12 @@ class _Eye(_Section):
         return CameraModel(**self.model_dump())
 
 
-class _Pose(_Section):
+class _Pose(Section):
     rotation_vector_rad: tuple[Number, Number, Number]
     translation_m: tuple[Number, Number, Number]
 
 
-class _File(_Section):
+class _File(Section):
     format: Literal["stereo_ore/stereo-calibration"]
     version: Literal[1]
     camera: str = ""
@@ -65,8 +51,8 @@ def recognises(text: str) -> bool:
     return FORMAT in text
 
 
-def read(path: Path, text: str, wishes: Wishes) -> StereoCalibration:
-    """The calibration in a native YAML; `wishes.images`, if given, stands for the file's word."""
+def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
+    """The calibration in a native YAML; `hints.images`, if given, stands for the file's word."""
     file = validate(_File, parse_yaml(text, path, CalibrationError), path, CalibrationError)
     return make_calibration(
         path,
@@ -75,7 +61,7 @@ def read(path: Path, text: str, wishes: Wishes) -> StereoCalibration:
         right=file.right.model(),
         rotation=file.right_from_left.rotation_vector_rad,
         translation_m=file.right_from_left.translation_m,
-        images=wishes.images or file.images,
+        images=hints.images or file.images,
         disparity_offset_px=file.disparity_offset_px,
         camera=file.camera,
     )

@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from stereo_ore.calibration.formats import Wishes, numbers, other_eye, size_of
+from stereo_ore.calibration.formats import Hints, numbers, other_eye, size_of
 from stereo_ore.calibration.geometry import make_calibration
 from stereo_ore.errors import CalibrationError
 from stereo_ore.types import F64, CameraModel, StereoCalibration
@@ -37,7 +37,7 @@ def recognises(text: str) -> bool:
     return text.lstrip("\ufeff \n").startswith(("%YAML", "<?xml", "{")) and "opencv" in text
 
 
-def read(path: Path, text: str, wishes: Wishes) -> StereoCalibration:
+def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
     """The calibration in one file, or in ``…intrinsics…`` and ``…extrinsics…`` beside each other.
 
     For rectified images the projections P1 and P2 are taken, otherwise the raw cameras.
@@ -53,8 +53,8 @@ def read(path: Path, text: str, wishes: Wishes) -> StereoCalibration:
         found = (_entries(other, read_text(other, CalibrationError)) if other.exists() else {}) | found
     width_height = [float(found[key][0]) for key in ("width", "height") if key in found]
     in_file = found["size"].tolist() if "size" in found else width_height or None
-    if wishes.images == "rectified":
-        return _rectified(path, found, size_of(path, in_file, wishes), wishes)
+    if hints.images == "rectified":
+        return _rectified(path, found, size_of(path, in_file, hints), hints)
     K1, K2 = (_matrix(path, found, key) for key in ("K1", "K2"))
     D1, D2 = (found.get(key, np.zeros(0)) for key in ("D1", "D2"))
     rotation, shift = _entry(path, found, "R"), numbers(path, "T", _entry(path, found, "T"), 3)
@@ -62,17 +62,17 @@ def read(path: Path, text: str, wishes: Wishes) -> StereoCalibration:
         raise CalibrationError(f"must have 3 or 9 numbers, not {rotation.size}", file=path, key="R")
     return make_calibration(
         path,
-        image_size=size_of(path, in_file, wishes),
+        image_size=size_of(path, in_file, hints),
         left=_camera(K1, D1),
         right=_camera(K2, D2),
         rotation=rotation if rotation.size == 3 else rotation.reshape(3, 3),
-        translation_m=shift * wishes.unit_m,
+        translation_m=shift * hints.unit_m,
         images="raw",
         camera=path.stem,
     )
 
 
-def _rectified(path: Path, found: dict[str, F64], size: tuple[int, int], wishes: Wishes) -> StereoCalibration:
+def _rectified(path: Path, found: dict[str, F64], size: tuple[int, int], hints: Hints) -> StereoCalibration:
     P1, P2 = (numbers(path, key, _entry(path, found, key), 12).reshape(3, 4) for key in ("P1", "P2"))
     if P2[0, 0] == 0:
         raise CalibrationError("has a focal length of zero", file=path, key="P2")
@@ -81,7 +81,7 @@ def _rectified(path: Path, found: dict[str, F64], size: tuple[int, int], wishes:
         image_size=size,
         left=_camera(P1[:, :3], np.zeros(0)),
         right=_camera(P2[:, :3], np.zeros(0)),
-        translation_m=(P2[0, 3] / P2[0, 0] * wishes.unit_m, 0.0, 0.0),
+        translation_m=(P2[0, 3] / P2[0, 0] * hints.unit_m, 0.0, 0.0),
         images="rectified",
         camera=path.stem,
     )

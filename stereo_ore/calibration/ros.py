@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from stereo_ore.calibration.formats import Wishes, numbers, other_eye, size_of
+from stereo_ore.calibration.formats import Hints, numbers, other_eye, size_of
 from stereo_ore.calibration.geometry import make_calibration
 from stereo_ore.errors import CalibrationError
 from stereo_ore.types import F64, CameraModel, StereoCalibration
@@ -30,17 +30,17 @@ def recognises(text: str) -> bool:
     return "distortion_model" in text and ("projection_matrix" in text or "\nP:" in text or "\np:" in text)
 
 
-def read(path: Path, text: str, wishes: Wishes) -> StereoCalibration:
+def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
     """The calibration in the file of either eye; the other is found by its name.
 
     Raw images: K, D, and R_right_left = R_rᵀ·R_l, t = R_rᵀ·(P_r[0,3] / fx, 0, 0). Rectified images: P alone.
     """
     files = other_eye(path, _EYES)
     left, right = (_eye(file, text if file == path else read_text(file, CalibrationError)) for file in files)
-    return combine(files, left, right, wishes)
+    return combine(files, left, right, hints)
 
 
-def combine(files: tuple[Path, Path], left: dict[str, Any], right: dict[str, Any], wishes: Wishes) -> StereoCalibration:
+def combine(files: tuple[Path, Path], left: dict[str, Any], right: dict[str, Any], hints: Hints) -> StereoCalibration:
     """The calibration of two eyes given as K (9,), D, R (9,), P (12,), width, height and model (of the distortion)."""
     for file, eye in zip(files, (left, right), strict=True):
         if (model := eye["model"]) not in _MODELS:
@@ -49,7 +49,7 @@ def combine(files: tuple[Path, Path], left: dict[str, Any], right: dict[str, Any
             problem = "all of K or P is zero: this camera was never calibrated"
             raise CalibrationError(problem, file=file, key="camera_matrix")
     sizes = [
-        size_of(file, [eye["width"], eye["height"]], wishes) for file, eye in zip(files, (left, right), strict=True)
+        size_of(file, [eye["width"], eye["height"]], hints) for file, eye in zip(files, (left, right), strict=True)
     ]
     if sizes[0] != sizes[1]:
         raise CalibrationError(f"is for images of {sizes[0]}, {files[1].name} for {sizes[1]}", file=files[0])
@@ -58,9 +58,9 @@ def combine(files: tuple[Path, Path], left: dict[str, Any], right: dict[str, Any
         raise CalibrationError(
             f"P[0,3] of the left eye must be 0, not {P_left[0, 3]:g}; are the eyes swapped?", file=files[0]
         )
-    shift = np.array([P_right[0, 3] / P_right[0, 0], 0.0, 0.0]) * wishes.unit_m
+    shift = np.array([P_right[0, 3] / P_right[0, 0], 0.0, 0.0]) * hints.unit_m
     common: dict[str, Any] = {"image_size": sizes[0], "camera": files[0].parent.name or files[0].stem}
-    if wishes.images == "rectified":
+    if hints.images == "rectified":
         left_eye, right_eye = _camera(P_left[:, :3]), _camera(P_right[:, :3])
         return make_calibration(
             files[0], left=left_eye, right=right_eye, translation_m=shift, images="rectified", **common

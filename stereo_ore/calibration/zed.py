@@ -9,7 +9,7 @@ import configparser
 import re
 from pathlib import Path
 
-from stereo_ore.calibration.formats import Wishes
+from stereo_ore.calibration.formats import Hints
 from stereo_ore.calibration.geometry import make_calibration
 from stereo_ore.config.loader import nearest
 from stereo_ore.errors import CalibrationError
@@ -36,8 +36,8 @@ def recognises(text: str) -> bool:
     return bool(_SECTION.search(text))
 
 
-def read(path: Path, text: str, wishes: Wishes) -> StereoCalibration:
-    """The calibration of the mode whose images have `wishes.image_size`.
+def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
+    """The calibration of the mode whose images have `hints.image_size`.
 
     Raises
     ------
@@ -45,8 +45,8 @@ def read(path: Path, text: str, wishes: Wishes) -> StereoCalibration:
         When the size is not given, is no ZED mode or not in the file; when a key is missing or no number.
     """
     sections = _parse(path, text)
-    mode = _mode(path, sections, wishes.image_size)
-    if wishes.images == "rectified":
+    mode = _mode(path, sections, hints.image_size)
+    if hints.images == "rectified":
         raise CalibrationError(
             "a factory file describes the raw images, not the rectified ones that the ZED SDK writes",
             file=path,

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from stereo_ore.calibration import ros
-from stereo_ore.calibration.formats import Wishes
+from stereo_ore.calibration.formats import Hints
 from stereo_ore.errors import FrameError
 from stereo_ore.sources.images import Image, as_bgr, decode_image
 from stereo_ore.types import F64, StereoCalibration
@@ -95,8 +95,8 @@ def calibration(left: Any, right: Any, rectified: bool, path: Path) -> StereoCal
     CalibrationError
         When the cameras were never calibrated or contradict each other.
     """
-    wishes = Wishes(images="rectified" if rectified else "raw")
-    return ros.combine((path, path), _eye(left), _eye(right), wishes)
+    hints = Hints(images="rectified" if rectified else "raw")
+    return ros.combine((path, path), _eye(left), _eye(right), hints)
 
 
 def _eye(info: Any) -> dict[str, Any]:
