@@ -79,10 +79,9 @@ def noise_map(xyz: F64, rig: Rig, sigma_px: float) -> dict[str, Any]:
     """Expected standard deviation of depth [mm], σ_z = z² / (f·B) · σ_d, as the median of each image cell's points."""
     cell = rig.width / NOISE_COLUMNS
     rows = int(np.ceil(rig.height / cell))
-    u, v = rig.project(xyz).T
-    column, row = np.floor(u / cell).astype(int), np.floor(v / cell).astype(int)
+    column, row = np.floor(rig.project(xyz) / cell).T
     inside = (column >= 0) & (column < NOISE_COLUMNS) & (row >= 0) & (row < rows)
-    cells = (row * NOISE_COLUMNS + column)[inside]
+    cells = (row * NOISE_COLUMNS + column)[inside].astype(int)
     sigma = rig.depth_sigma(xyz[inside, 2], sigma_px) / MILLIMETRE
     order = np.lexsort((sigma, cells))
     found, first, count = np.unique(cells[order], return_index=True, return_counts=True)
