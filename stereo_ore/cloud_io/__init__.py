@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -68,4 +69,5 @@ def write(path: Path, records: Records) -> None:
     except OSError as fault:
         raise OutputError(f"can't be written: {fault.strerror or fault}", file=path) from None
     finally:
-        partial.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            partial.unlink()

@@ -40,8 +40,8 @@ def filter_(
     from stereo_ore.bench import filters as bench
     from stereo_ore.bench import labelled, tables
 
-    paper = _judge(labelled.paper_clouds(range(seeds)), 9 * seeds, "paper's protocol")
     stereo_total, stereo_clouds = _stereo(stereo_seeds, family or ["paper", "large", "hard"], scenes)
+    paper = _judge(labelled.paper_clouds(range(seeds)), 9 * seeds, "paper's protocol")
     stereo = _judge(stereo_clouds, stereo_total, "stereo clouds")
     first = next(labelled.paper_clouds(range(1)))
     document = {"paper": paper, "stereo": stereo, "speed": bench.speed(first.voxels)}

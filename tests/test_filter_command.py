@@ -1,0 +1,88 @@
+"""``stereo-ore filter``: the installed command on cloud files."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from stereo_ore import cloud_io, synth
+from stereo_ore.cli import app, load_verbs
+from stereo_ore.errors import StereoOreError
+
+
+@pytest.fixture(scope="module")
+def noisy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    xyz, noise = synth.paper_cloud(3)
+    columns = {axis: xyz[:, i] for i, axis in enumerate("xyz")} | {"red": noise.astype(np.uint8)}
+    path = tmp_path_factory.mktemp("clouds") / "noisy.ply"
+    cloud_io.write(path, cloud_io.from_columns(columns))
+    return path
+
+
+def command(*arguments: object) -> None:
+    load_verbs()
+    result = CliRunner().invoke(app, ["-q", "filter", *map(str, arguments)])
+    if isinstance(result.exception, StereoOreError):
+        raise result.exception
+    assert result.exit_code == 0, result.output
+
+
+def test_keeps_columns_and_splits_the_cloud_in_two(noisy: Path, tmp_path: Path) -> None:
+    out, noise, scores, picture = (tmp_path / name for name in ("out.pcd", "noise.csv", "scores.npz", "factors.png"))
+    command(noisy, out, "--keep-noise", noise, "--scores", scores, "--picture", picture)
+    kept, removed = cloud_io.read(out), cloud_io.read(noise)
+    assert len(kept) + len(removed) == 18_809
+    assert kept["red"].mean() < 0.03 < 0.9 < removed["red"].mean()
+    with np.load(scores) as arrays:
+        assert arrays["keep"].sum() == len(kept)
+        assert arrays["score"].shape == (18_809,)
+    assert picture.stat().st_size > 10_000
+    assert (tmp_path / "factors-kept.png").stat().st_size > 10_000
+
+
+def test_millimetres_are_asked_for_and_then_right(noisy: Path, tmp_path: Path) -> None:
+    xyz = cloud_io.xyz(cloud_io.read(noisy))
+    path = tmp_path / "mm.xyz"
+    cloud_io.write(path, cloud_io.from_array(xyz * 1000, path))
+    with pytest.raises(StereoOreError, match=r"are they millimetres.*--unit mm"):
+        command(path, tmp_path / "out.ply")
+    radius = ("--method", "radius", "--set", "radius_m=0.012", "--set", "n=4")
+    command(path, tmp_path / "mm.ply", "--unit", "mm", *radius)
+    command(noisy, tmp_path / "m.ply", *radius)
+    in_mm, in_m = (cloud_io.xyz(cloud_io.read(tmp_path / name)) for name in ("mm.ply", "m.ply"))
+    assert 0 < abs(len(in_mm)) < 18_809
+    assert abs(len(in_mm) - len(in_m)) <= 3
+    assert np.ptp(in_mm[:, 0]) > 500
+
+
+def test_far_origin_costs_nothing(noisy: Path, tmp_path: Path) -> None:
+    xyz = cloud_io.xyz(cloud_io.read(noisy))[:5000]
+    for name, shift in (("near.npy", 0.0), ("far.npy", 4.0e6)):
+        cloud_io.write(tmp_path / name, cloud_io.from_array(xyz + shift, tmp_path / name))
+        command(tmp_path / name, tmp_path / f"out-{name}", "--unit", "m")
+    near, far = (cloud_io.read(tmp_path / f"out-{name}") for name in ("near.npy", "far.npy"))
+    assert abs(len(near) - len(far)) <= 5
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--method", "papr"), "did you mean paper"),
+        (("--set", "treshold=0.4"), "did you mean threshold"),
+        (("--set", "threshold"), "not of the form"),
+        (("--unit", "inch"), "Use m, cm or mm"),
+        (("--scores", "scores.doc"), "no known cloud format"),
+    ],
+)
+def test_bad_options(noisy: Path, tmp_path: Path, arguments: tuple[str, ...], words: str) -> None:
+    with pytest.raises(StereoOreError, match=words):
+        command(noisy, tmp_path / "out.ply", *arguments)
+    assert not (tmp_path / "out.ply").exists()
+
+
+def test_empty_cloud(tmp_path: Path) -> None:
+    path = tmp_path / "empty.npy"
+    np.save(path, np.zeros((0, 3)))
+    command(path, tmp_path / "out.npy")
+    assert len(cloud_io.read(tmp_path / "out.npy")) == 0

@@ -1,0 +1,142 @@
+"""The default filter: its surface geometry, and that it beats every baseline at its best."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from stereo_ore import filters
+from stereo_ore.bench import filters as bench
+from stereo_ore.bench.baselines import CONTENDERS
+from stereo_ore.bench.labelled import LabelledCloud, bare_cloud, paper_clouds, scene_stereo
+from stereo_ore.config import FilterConfig
+from stereo_ore.filters.evidence import DENSITY_FEATURES, gather, has_cues, image_space
+from stereo_ore.filters.scorer import Network, Scorer, load
+from stereo_ore.filters.surface import eigen, fit_planes
+from stereo_ore.metrics import filter_quality
+from stereo_ore.synth import paper_cloud
+
+
+@pytest.fixture(scope="module")
+def protocol() -> list[LabelledCloud]:
+    """One seed of the paper's nine cells, not used in training."""
+    return list(paper_clouds(range(3, 4)))
+
+
+@pytest.fixture(scope="module")
+def stereo(synth_folder) -> LabelledCloud:  # type: ignore[no-untyped-def]
+    return scene_stereo(synth_folder)
+
+
+def removed(labelled: LabelledCloud, **params: object) -> np.ndarray:
+    return ~filters.apply(labelled.voxels, FilterConfig(params=params)).keep
+
+
+def test_eigen_is_that_of_numpy() -> None:
+    rng = np.random.default_rng(0)
+    half = rng.normal(size=(300, 3, 3)) * [1, 0.3, 0.01]
+    matrices = half @ half.transpose(0, 2, 1)
+    m = np.stack([matrices[:, i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))], 1)
+    values, normal = eigen(m)
+    np.testing.assert_allclose(values, np.linalg.eigvalsh(matrices), atol=1e-6)
+    np.testing.assert_allclose(np.einsum("nij,nj->ni", matrices, normal), values[:, :1] * normal, atol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1)
+
+
+@pytest.mark.parametrize("moments", [[0, 0, 0, 0, 0, 0], [1, 1, 1, 0, 0, 0], [2, 0, 0, 0, 0, 0]])
+def test_eigen_of_degenerate_matrices_is_finite(moments: list[float]) -> None:
+    values, normal = eigen(np.array([moments], np.float32))
+    np.testing.assert_allclose(values[0], sorted(moments[:3]), atol=1e-7)
+    np.testing.assert_allclose(np.linalg.norm(normal), 1)
+
+
+def test_residual_is_the_distance_to_the_weighted_plane() -> None:
+    rng = np.random.default_rng(0)
+    plane = np.column_stack([rng.uniform(-5, 5, (100, 2)), np.zeros(100)])
+    x = np.concatenate([[[0, 0, 2.0]], plane]).astype(np.float32)
+    index = np.tile(np.argsort(np.linalg.norm(x[1:], axis=1))[:16].astype(np.int32) + 1, (101, 1))
+    planes = fit_planes(x, index, np.ones(101, np.float32))
+    assert abs(planes.height[0]) == pytest.approx(2.0, abs=1e-3)
+    assert abs(planes.normal[0, 2]) == pytest.approx(1.0, abs=1e-6)
+    assert np.exp(planes.shape[0, 0]) == pytest.approx(2.02, abs=1e-3)
+
+
+def test_paper_protocol_beats_the_best_tuned_baseline(protocol: list[LabelledCloud]) -> None:
+    ours = [filter_quality(c.is_noise, removed(c)) for c in protocol]
+    assert np.mean([q.f1 for q in ours]) >= 0.90
+    assert min(q.f1 for q in ours) >= 0.86
+    tuned = [c for c in CONTENDERS if c.method in ("statistical", "radius")]
+    best = [max(bench.judge(c, t).f1 for t in tuned) for c in protocol[4:6]]
+    assert np.mean([q.f1 for q in ours[4:6]]) >= np.mean(best) + 0.10
+
+
+def test_noise_along_the_normal_at_the_papers_share(protocol: list[LabelledCloud]) -> None:
+    quality = filter_quality(protocol[4].is_noise, removed(protocol[4]))
+    assert quality.precision >= 0.9568
+    assert quality.recall >= 0.95
+    assert quality.retention >= 0.99
+
+
+def test_real_noise_free_surfaces_are_kept(shared_data) -> None:  # type: ignore[no-untyped-def]
+    from stereo_ore import cloud_io
+
+    records = cloud_io.read(shared_data / "stones" / "A46_point_cloud.ply")[::5]
+    xyz = cloud_io.xyz(records)
+    keep = filters.apply(bare_cloud(xyz - xyz.mean(0)), FilterConfig()).keep
+    assert keep.mean() > 0.95
+
+
+def test_thin_bar_is_not_eaten() -> None:
+    """A bar three points wide, far from everything."""
+    rng = np.random.default_rng(0)
+    u, v = np.meshgrid(np.arange(120), np.arange(100))
+    ground = np.column_stack([u.ravel() * 5.0, v.ravel() * 5.0, np.zeros(u.size)])
+    u, v = np.meshgrid(np.arange(120), np.arange(3))
+    bar = np.column_stack([u.ravel() * 5.0, 200 + v.ravel() * 5.0, np.full(u.size, 80.0)])
+    xyz = np.concatenate([ground, bar]) + rng.normal(0, 0.4, (len(ground) + len(bar), 3))
+    keep = filters.apply(bare_cloud(xyz / 1000), FilterConfig()).keep
+    assert keep[len(ground) :].mean() >= 0.95
+    assert keep.mean() >= 0.99
+
+
+def test_higher_threshold_removes_less(protocol: list[LabelledCloud]) -> None:
+    counts = [removed(protocol[1], threshold=t).sum() for t in (0.2, 0.5, 0.8)]
+    assert counts == sorted(counts, reverse=True)
+    assert counts[0] > counts[2]
+
+
+def test_stereo_clouds_use_the_cues_in_image_space(stereo: LabelledCloud) -> None:
+    assert has_cues(stereo.voxels)
+    result = filters.apply(stereo.voxels, FilterConfig())
+    assert result.diagnostics["scorer"] == "stereo"
+    blind = dataclasses.replace(stereo.voxels, cues={})
+    assert filters.apply(blind, FilterConfig()).diagnostics["scorer"] == "geometry"
+    quality = filter_quality(stereo.is_noise, ~result.keep)
+    assert quality.f1 > filter_quality(stereo.is_noise, removed(dataclasses.replace(stereo, voxels=blind))).f1
+    assert quality.retention > 0.85
+
+
+def test_image_space_has_pixels_and_disparity(stereo: LabelledCloud) -> None:
+    voxels = stereo.voxels
+    image = image_space(voxels)
+    focal = np.median(voxels.xyz[:, 2] / voxels.pixel_m)
+    np.testing.assert_allclose(image[:, 0], voxels.xyz[:, 0] / voxels.xyz[:, 2] * focal, rtol=1e-4, atol=1e-3)
+    assert np.corrcoef(image[:, 2], 1 / voxels.xyz[:, 2])[0, 1] > 0.99
+
+
+def test_scorer_survives_its_file_and_its_equation() -> None:
+    scorer = load("geometry")
+    assert Scorer.from_dict(__import__("json").loads(scorer.to_json())) == scorer
+    network = Network([1.0, 0.0], [2.0, 1.0], [[1.0], [-1.0]], [0.5], [2.0], -1.0)
+    features = np.array([[3.0, 0.25], [-9.0, 0.0]], np.float32)
+    logits = [2 * max(0.0, 1.0 - 0.25 + 0.5) - 1, -1.0]
+    np.testing.assert_allclose(network.probability(features), [1 / (1 + np.exp(-v)) for v in logits], rtol=1e-5)
+
+
+def test_scorer_of_other_features_is_refused() -> None:
+    evidence = gather(bare_cloud(paper_cloud(0)[0][:200]), 16)
+    assert evidence.names == DENSITY_FEATURES
+    from stereo_ore.filters.adaptive import run_passes
+
+    with pytest.raises(ValueError, match="other features"):
+        run_passes(evidence, load("stereo"))
