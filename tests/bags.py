@@ -26,7 +26,8 @@ class Camera(NamedTuple):
 
     image_topic: str
     size: tuple[int, int]
-    focal_px: float
+    focal_px: tuple[float, float]
+    centre_px: tuple[float, float]
     baseline_m: float
 
 
@@ -87,10 +88,10 @@ def image_message(store: Any, shot: Shot, encoding: str, first: bool) -> Any:
 
 
 def camera_info(store: Any, camera: Camera, first: bool) -> Any:
-    (width, height), f = camera.size, camera.focal_px
-    K = np.array([f, 0, width / 2, 0, f, height / 2, 0, 0, 1])
-    shift = -f * camera.baseline_m if "right" in camera.image_topic else 0.0
-    P = np.array([f, 0, width / 2, shift, 0, f, height / 2, 0, 0, 0, 1, 0])
+    (width, height), (fx, fy), (cx, cy) = camera.size, camera.focal_px, camera.centre_px
+    K = np.array([fx, 0, cx, 0, fy, cy, 0, 0, 1])
+    shift = -fx * camera.baseline_m if "right" in camera.image_topic else 0.0
+    P = np.array([fx, 0, cx, shift, 0, fy, cy, 0, 0, 0, 1, 0])
     matrices = {"D": np.zeros(5), "K": K, "R": np.eye(3).ravel(), "P": P}
     if not first:
         matrices = {letter.lower(): matrix for letter, matrix in matrices.items()}

@@ -41,6 +41,10 @@ def shots(count: int = 3, skew_ns: int = 0, topics: tuple[str, str] = TOPICS) ->
     ]
 
 
+def camera(topic: str, focal_px: float = 30.0) -> Camera:
+    return Camera(topic, (WIDTH, HEIGHT), (focal_px, focal_px), (WIDTH / 2, HEIGHT / 2), 0.12)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("encoding", ["bgr8", "rgb8", "bgra8", "png"])
 def test_pictures_and_stamps_come_back(kind: str, encoding: str, tmp_path: Path) -> None:
@@ -113,7 +117,7 @@ def test_a_driver_without_stamps_is_paired_by_time_of_recording(tmp_path: Path) 
 @pytest.mark.parametrize("name", ["image_rect", "image_raw"])
 def test_camera_info_is_the_calibration(kind: str, name: str, tmp_path: Path) -> None:
     topics = (f"/cam/left/{name}", f"/cam/right/{name}")
-    cameras = [Camera(topic, (WIDTH, HEIGHT), 30.0, 0.12) for topic in topics]
+    cameras = [camera(topic) for topic in topics]
     calibration = open_source(write_bag(tmp_path / "bag", kind, shots(1, topics=topics), cameras)).calibration
     assert calibration.images == ("rectified" if name == "image_rect" else "raw")
     assert calibration.image_size == (WIDTH, HEIGHT)
@@ -122,8 +126,8 @@ def test_camera_info_is_the_calibration(kind: str, name: str, tmp_path: Path) ->
 
 
 def test_no_calibration_without_both_infos_or_when_they_are_empty(tmp_path: Path) -> None:
-    one = [Camera(TOPICS[0], (WIDTH, HEIGHT), 30.0, 0.12)]
-    empty = [Camera(topic, (WIDTH, HEIGHT), 0.0, 0.12) for topic in TOPICS]
+    one = [camera(TOPICS[0])]
+    empty = [camera(topic, 0.0) for topic in TOPICS]
     assert open_source(write_bag(tmp_path / "one", "mcap", shots(1), one)).calibration is None
     assert open_source(write_bag(tmp_path / "none", "mcap", shots(1))).calibration is None
     with pytest.raises(CalibrationError, match="never calibrated"):
@@ -216,7 +220,7 @@ def test_what_is_no_bag(suffix: str, content: bytes, tmp_path: Path) -> None:
 
 
 def test_bag_without_images(tmp_path: Path) -> None:
-    cameras = [Camera(topic, (WIDTH, HEIGHT), 30.0, 0.12) for topic in TOPICS]
+    cameras = [camera(topic) for topic in TOPICS]
     with pytest.raises(SourceError, match=r"has 0 pairs of left and right image topics.*image topics: none"):
         open_source(write_bag(tmp_path / "bag", "mcap", [], cameras))
 
@@ -270,7 +274,10 @@ def test_lost_images_never_shift_the_others(ticks: list[int], skew: int, data: s
 
 @pytest.fixture(scope="module")
 def forms(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Twenty frames as a PNG folder, side-by-side PNG, MCAP and a ROS 2 bag; names are stamps, as the bags' are."""
+    """Twenty frames as a PNG folder, side-by-side PNG, MCAP and a ROS 2 bag; names are stamps, as the bags' are.
+
+    The MCAP carries the calibration that the others are given.
+    """
     folder = tmp_path_factory.mktemp("forms")
     pair = [cv2.imread(str(ROOT / "data" / "paper_03" / f"{eye}.png")) for eye in ("left", "right")]
     pair = [cv2.resize(image, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA) for image in pair]
@@ -284,7 +291,8 @@ def forms(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         (folder / "side").mkdir(exist_ok=True)
         cv2.imwrite(str(folder / "side" / f"{stamp}.png"), np.hstack(images))
         messages += [Shot(topic, stamp, stamp, image) for topic, image in zip(TOPICS, images, strict=True)]
-    write_bag(folder / "mcap", "mcap", messages)
+    cameras = [Camera(topic, (320, 180), (132.4, 132.325), (160.5, 90.3), 0.12) for topic in TOPICS]
+    write_bag(folder / "mcap", "mcap", messages, cameras)
     write_bag(folder / "sqlite3", "sqlite3", messages, encoding="rgb8")
     return {name: folder / name for name in ("png", "side", "mcap", "sqlite3")}
 
@@ -302,12 +310,14 @@ def quarter(tmp_path: Path) -> list[object]:
     return ["--calib", tmp_path / "calibration.yaml", "--site", tmp_path / "site.yaml"]
 
 
+@pytest.mark.slow
 def test_twenty_frames_give_identical_records_from_every_lossless_form(forms: dict[str, Path], tmp_path: Path) -> None:
     files = quarter(tmp_path)
     results = {}
     for name, recording in forms.items():
-        workers = 2 if name == "mcap" else 1
-        command = ["stereo-ore", "run", recording, *files, "--out", tmp_path / name, "--workers", workers]
+        calib, site = files[:2], files[2:]
+        options = [*site, "--workers", 2] if name == "mcap" else [*calib, *site]
+        command = ["stereo-ore", "run", recording, *options, "--out", tmp_path / name, "--no-report"]
         done = subprocess.run([str(part) for part in command], capture_output=True, text=True, timeout=200)
         assert done.returncode == 0, done.stderr
         results[name] = (tmp_path / name / "frames.jsonl").read_bytes()
@@ -315,3 +325,14 @@ def test_twenty_frames_give_identical_records_from_every_lossless_form(forms: di
     assert [record["stamp_ns"] for record in records] == [START + n * PERIOD for n in range(20)]
     assert sum(record["counts"]["kept"] for record in records) > 1000
     assert all(result == results["png"] for result in results.values())
+    described = json.loads((tmp_path / "mcap" / "run.json").read_text())["recording"]
+    assert described["skew_ms"]["pairs"][0] == 20
+    assert (tmp_path / "mcap" / "calibration.yaml").is_file()
+
+
+def test_a_recording_without_calibration_asks_for_one(forms: dict[str, Path], tmp_path: Path) -> None:
+    for name in ("sqlite3", "png"):
+        command = ["stereo-ore", "run", forms[name], "--out", tmp_path / name]
+        done = subprocess.run([str(part) for part in command], capture_output=True, text=True, timeout=60)
+        assert done.returncode == 1
+        assert done.stderr == f"error: {forms[name]}: carries no calibration. Give one with --calib\n"
