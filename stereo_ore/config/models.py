@@ -69,6 +69,7 @@ class GrizzlyConfig(StageConfig):
     seed: int = param(0, "seed of the RANSAC")
     sigmas: float = param(2.5, "inlier distance in standard deviations of the depth noise", gt=0)
     min_contrast: float = param(0.03, "share of what is solid and open that bars must explain in a screen", ge=0, le=1)
+    min_bars: int = param(3, "bars to be seen where neither opening nor working volume is known", ge=1)
     refinements: int = param(2, "times the plane found is fitted again to its bars", ge=0)
 
 

@@ -15,6 +15,8 @@ from stereo_ore.types import Grizzly, Plane, Site, Surface
 __all__ = ["find"]
 
 MIN_POINTS = 200
+CLEAR_CONTRAST = 0.25
+"""Contrast of bars that need not be counted."""
 
 
 def find(surface: Surface, site: Site, config: GrizzlyConfig) -> Grizzly:
@@ -64,7 +66,7 @@ def _found(sample: Sample, site: Site, config: GrizzlyConfig) -> Grizzly:
     for plane, area in candidate_planes(sample, config):
         fit = fit_bars(sample, plane, site.opening_m, site.bar_width_m)
         score = area * fit.contrast
-        if fit.bars is not None and fit.contrast >= config.min_contrast and (best is None or score > best[0]):
+        if _is_screen(fit, site, config) and (best is None or score > best[0]):
             best = score, plane, fit
     if best is None:
         raise FrameError(
@@ -80,6 +82,17 @@ def _found(sample: Sample, site: Site, config: GrizzlyConfig) -> Grizzly:
     return _grizzly(plane, "auto", rms, site, {"inlier_share": inliers}, fit)
 
 
+def _is_screen(fit: BarFit, site: Site, config: GrizzlyConfig) -> bool:
+    """Whether bars were seen: the less the site says of the screen, the more of them are wanted."""
+    if fit.bars is None or fit.contrast < config.min_contrast:
+        return False
+    if site.opening_m is not None and site.bar_width_m is not None:
+        return True
+    if site.volume is not None:
+        return fit.seen >= 2 or fit.contrast >= CLEAR_CONTRAST
+    return fit.seen >= config.min_bars
+
+
 def _grizzly(
     plane: Plane, source: Any, rms: float | None, site: Site, diagnostics: dict[str, Any], fit: BarFit | None = None
 ) -> Grizzly:
@@ -88,5 +101,5 @@ def _grizzly(
     if opening is None and bars is not None:
         opening = bars.pitch_m - bars.width_m
     if fit:
-        diagnostics |= {"bar_contrast": fit.contrast}
+        diagnostics |= {"bar_contrast": fit.contrast, "bars_seen": fit.seen}
     return Grizzly(plane, source, rms, bars, opening, diagnostics)

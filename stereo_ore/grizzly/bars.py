@@ -20,15 +20,18 @@ PHASES = 60
 SEARCHED = 2000
 """Points that directions are tried on."""
 MIN_BARS, MAX_BARS = 3, 40
+LEAST_SEEN = 8
+"""Points that a bar or a gap must have to be judged."""
 MIN_DUTY, MAX_DUTY = 0.08, 0.6
 
 
 @dataclass(frozen=True)
 class BarFit:
-    """The bars, if any, and the share of the variance of solid/open that they explain (0…1)."""
+    """The bars, if any, the share of the variance of solid/open that they explain (0…1), and how many are seen."""
 
     bars: Bars | None
     contrast: float
+    seen: int = 0
 
     def covers(self, xyz: F64) -> Mask:
         """True for each of (N, 3) points that lies over a bar."""
@@ -68,7 +71,20 @@ def fit_bars(sample: Sample, plane: Plane, opening_m: float | None, bar_width_m:
     solid = np.abs(_wrap(position - phase, pitch)) < width / 2
     contrast = _explained(solid.astype(np.intp), signal)
     direction = np.array([np.cos(angle), np.sin(angle)]) @ axes
-    return BarFit(Bars(direction, across2 @ axes, float(pitch), float(phase), float(width)), contrast)
+    bars = Bars(direction, across2 @ axes, float(pitch), float(phase), float(width))
+    return BarFit(bars, contrast, _seen(position, signal, pitch, phase, solid))
+
+
+def _seen(position: F64, signal: F64, pitch: float, phase: float, on_bar: Mask) -> int:
+    """Number of bars that are mostly solid where the half gaps beside them are mostly open."""
+    number = np.round((position - phase) / pitch).astype(np.intp)
+    number -= number.min()
+    means = []
+    for part in (on_bar, ~on_bar):
+        count = np.bincount(number[part], minlength=number.max() + 1)
+        total = np.bincount(number[part], signal[part], number.max() + 1)
+        means.append(np.where(count >= LEAST_SEEN, total / np.maximum(count, 1), 0.0))
+    return int(((means[0] > 0.3) & (means[1] < -0.3)).sum())
 
 
 def _rays_in_plane(sample: Sample, plane: Plane) -> tuple[F64, F64, F64]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -22,8 +23,6 @@ __all__ = ["segment"]
 REACHES = (16, 8, 4)
 """Half lengths of the chords that look for valleys, as fractions 1/n of the opening."""
 REACH_WEIGHTS = (1.0, 1.0, 1.3)
-MARGIN_PX = 12
-"""Pixels of surroundings kept around the ore."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +30,7 @@ class View:
     """The crop around the ore: what segmentation looks at, all (h, w).
 
     Relief with its gaps filled and as measured [px], grey and colour image, ore, where a point lies over a bar, and
-    the distance from the screen's sides [openings, at most 1].
+    the distance from the screen's sides [openings, at most 1], and the strength of image edges.
     """
 
     filled: F32
@@ -41,6 +40,7 @@ class View:
     mask: Mask
     on_bar: Mask
     inside: F32
+    edge: F32
     relief: Relief
     threshold_px: float
     opening_px: float
@@ -66,18 +66,21 @@ def segment(surface: Surface, grizzly: Grizzly, volume: Volume | None, config: S
         Full-image labels numbered from the top of the image; counts of what was dropped.
     """
     if not np.isfinite(surface.xyz[..., 2]).any():
-        return _ore_map(surface, np.zeros((0, 0), np.int32), (0, 0), {"parts": 0})
-    view, corner = _look(surface, grizzly, config)
-    if not view.mask.any():
-        return _ore_map(surface, np.zeros((0, 0), np.int32), (0, 0), {"parts": 0})
-    scene, parts = oversegment(view, config)
-    labels = filled(merge_parts(scene, parts, config.merge_probability))
-    labels, dropped = _select(scene, labels, view, config)
-    return _ore_map(surface, labels, corner, {"parts": int(len(np.unique(parts)) - 1)} | dropped)
+        return _ore_map(surface, np.zeros(surface.sigma_z.shape, np.int32), {"parts": 0})
+    view = look(surface, grizzly, config)
+    labels = np.zeros(view.mask.shape, np.int32)
+    counts = dict.fromkeys(("parts", "dropped_small", "dropped_unlike"), 0)
+    for box, heap in _heaps(view.mask, config.band_px):
+        lumps, tally = _segment_heap(_part(view, box, heap), config)
+        room = (labels[box] == 0) & (lumps > 0)
+        labels[box][room] = lumps[room] + labels.max()
+        counts = {key: counts[key] + tally[key] for key in counts}
+    numbered = renumbered(labels, np.arange(labels.max() + 1) > 0)
+    return _ore_map(surface, numbered, counts)
 
 
-def _look(surface: Surface, grizzly: Grizzly, config: SegmentConfig) -> tuple[View, tuple[int, int]]:
-    """What segmentation looks at, cropped to the ore, and the crop's corner (row, column) in the surface."""
+def look(surface: Surface, grizzly: Grizzly, config: SegmentConfig) -> View:
+    """What segmentation looks at, of the whole crop."""
     relief = measure_relief(surface, grizzly)
     threshold = threshold_px(relief, grizzly.opening_m, config)
     opening = grizzly.opening_m or config.default_opening_m
@@ -95,22 +98,32 @@ def _look(surface: Surface, grizzly: Grizzly, config: SegmentConfig) -> tuple[Vi
     evidence = ore_evidence(px, clearance, threshold, bar_margin(relief, grizzly))
     size = opening / relief.pixel_m
     mask = ore_mask(evidence, grey, config, (config.least_part * size) ** 2)
-    box, corner = _bounds(mask)
     on_bar = np.zeros_like(mask) if clearance is None else np.nan_to_num(clearance, nan=1.0) < 0
-    view = View(
-        px[box], raw[box], grey[box], surface.bgr[box], mask[box], on_bar[box], inside[box], relief, threshold, size
-    )
-    return view, corner
+    return View(px, raw, grey, surface.bgr, mask, on_bar, inside, edges(grey, mask), relief, threshold, size)
 
 
-def _bounds(mask: Mask) -> tuple[tuple[slice, slice], tuple[int, int]]:
-    """The rectangle around a mask with a margin, and its corner."""
-    sides = []
-    for axis, size in enumerate(mask.shape):
-        hit = np.flatnonzero(mask.any(1 - axis))
-        low, high = (hit[0], hit[-1]) if len(hit) else (0, 0)
-        sides.append(slice(max(int(low) - MARGIN_PX, 0), min(int(high) + MARGIN_PX + 1, size)))
-    return (sides[0], sides[1]), (sides[0].start, sides[1].start)
+def _heaps(mask: Mask, band: int) -> Iterator[tuple[tuple[slice, slice], Mask]]:
+    """Box and mask of each heap: what touches, or nearly so that outlines may meet."""
+    kernel = np.ones((band + 1, band + 1), np.uint8)
+    _, heaps, stats, _ = cv2.connectedComponentsWithStats(cv2.dilate(mask.astype(np.uint8), kernel), connectivity=4)
+    for number, (x, y, w, h, _) in enumerate(stats[1:], start=1):
+        margin = band + 2
+        box = np.s_[max(y - margin, 0) : y + h + margin, max(x - margin, 0) : x + w + margin]
+        yield box, mask[box] & (heaps[box] == number)
+
+
+def _part(view: View, box: tuple[slice, slice], mask: Mask) -> View:
+    """The view of one heap."""
+    fields = {name: getattr(view, name)[box] for name in ("filled", "raw", "grey", "bgr", "on_bar", "inside", "edge")}
+    return replace(view, mask=mask, **fields)
+
+
+def _segment_heap(view: View, config: SegmentConfig) -> tuple[I32, dict[str, int]]:
+    """Lumps of one heap."""
+    scene, parts = oversegment(view, config)
+    labels = filled(merge_parts(scene, parts, config.merge_probability))
+    labels, dropped = _select(scene, labels, view, config)
+    return labels, {"parts": int(len(np.unique(parts)) - 1)} | dropped
 
 
 def oversegment(view: View, config: SegmentConfig) -> tuple[Scene, I32]:
@@ -126,7 +139,7 @@ def oversegment(view: View, config: SegmentConfig) -> tuple[Scene, I32]:
     parts = grow(seeds, view.mask, view.grey, relief, config.relief_weight / sigma, config.band_px)
     colour = cv2.cvtColor(cv2.GaussianBlur(view.bgr, (0, 0), 1.5), cv2.COLOR_BGR2Lab).astype(np.float32)
     scene = Scene(
-        relief, view.raw, valleys, edges(view.grey, view.mask), gradient(relief) / np.float32(sigma), colour,
+        relief, view.raw, valleys, view.edge, gradient(relief) / np.float32(sigma), colour,
         view.on_bar, view.inside, sigma, view.threshold_px, view.opening_px,
     )  # fmt: skip
     return scene, parts
@@ -143,10 +156,10 @@ def _select(scene: Scene, labels: I32, view: View, config: SegmentConfig) -> tup
     return renumbered(labels, likely), dropped
 
 
-def _ore_map(surface: Surface, labels: I32, corner: tuple[int, int], diagnostics: dict[str, int]) -> OreMap:
+def _ore_map(surface: Surface, labels: I32, diagnostics: dict[str, int]) -> OreMap:
     """Labels of the crop laid into the full image, with the ids that its border cuts."""
     full: I16 = np.zeros((surface.rig.height, surface.rig.width), np.int16)
-    row, column = surface.y0 + corner[0], surface.x0 + corner[1]
+    row, column = surface.y0, surface.x0
     full[row : row + labels.shape[0], column : column + labels.shape[1]] = labels
     rim = np.concatenate([full[0], full[-1], full[:, 0], full[:, -1]])
     return OreMap(full, frozenset(int(i) for i in np.unique(rim) if i), diagnostics)

@@ -59,9 +59,9 @@ def filled(labels: I32) -> I32:
 
 def renumbered(labels: I32, keep: Mask) -> I32:
     """Kept labels as 1…n from the top of the image down, then from the left; `keep` is indexed by label."""
-    boxes = ndimage.find_objects(labels)
+    boxes = ndimage.find_objects(labels, max_label=max(len(keep) - 1, 0))
     kept = [i for i in np.flatnonzero(keep) if i and boxes[i - 1] is not None]
     kept.sort(key=lambda i: tuple(side.start for side in boxes[i - 1]))
-    new = np.zeros(max(len(keep), len(boxes) + 1), np.int32)
+    new = np.zeros(max(len(keep), 1), np.int32)
     new[kept] = np.arange(1, len(kept) + 1)
     return new[labels]
