@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import hmac
 import logging
+import socket
 import threading
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -60,7 +61,7 @@ class OpcUaSink:
         except ImportError:
             raise MissingExtraError("asyncua", "opcua") from None
         self.url = f"opc.tcp://{host}:{port}{PATH}"
-        self._security = security
+        self._host, self._port, self._security = host, port, security
         self._outbox = Outbox()
         self._ready = threading.Event()
         self._fault: BaseException | None = None
@@ -70,9 +71,14 @@ class OpcUaSink:
         self._thread = threading.Thread(target=self._run, daemon=True, name="opcua")
 
     def __enter__(self) -> Self:
+        try:
+            socket.create_server((self._host, self._port)).close()
+        except OSError as fault:
+            remedy = "Is another program listening there?"
+            raise OutputError(f"can't serve {self.url}: {fault.strerror}", key="opcua", remedy=remedy) from None
         self._thread.start()
         if not self._ready.wait(STARTING_S) or self._fault:
-            remedy = "Is another program listening there? Are certificate and key readable?"
+            remedy = "Are certificate and key what they should be?"
             raise OutputError(f"can't serve {self.url}: {self._fault or 'no answer'}", key="opcua", remedy=remedy)
         return self
 
@@ -151,29 +157,34 @@ def _data_value(variable: Variable, value: Any, now: datetime) -> ua.DataValue:
 
 async def _make_server(url: str, security: OpcUaSecurity | None) -> Server:
     from asyncua import Server, ua
-    from asyncua.crypto.truststore import TrustStore
-    from asyncua.crypto.validator import CertificateValidator, CertificateValidatorOptions
 
     server = Server(user_manager=_Users(security.users if security else None))
+    # Certificates first: a wrong one shows before the standard's thousands of nodes are made.
+    if security is not None:
+        await server.load_certificate(security.certificate)
+        await server.load_private_key(security.private_key)
     await server.init()
     server.set_endpoint(url)
     server.set_server_name("stereo-ore")
     await server.set_application_uri(APPLICATION_URI)
-    if security is None:
-        server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
-        server.set_identity_tokens([ua.AnonymousIdentityToken])
-        return server
-    server.set_security_policy([ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt])
-    token = ua.AnonymousIdentityToken if security.users is None else ua.UserNameIdentityToken
-    server.set_identity_tokens([token])
-    await server.load_certificate(security.certificate)
-    await server.load_private_key(security.private_key)
-    if security.trusted is not None:
-        store = TrustStore([security.trusted], [])
-        await store.load()
-        options = CertificateValidatorOptions.TRUSTED_VALIDATION | CertificateValidatorOptions.PEER_CLIENT
-        server.set_certificate_validator(CertificateValidator(options, store))
+    with_users = security is not None and security.users is not None
+    server.set_identity_tokens([ua.UserNameIdentityToken if with_users else ua.AnonymousIdentityToken])
+    kind = ua.SecurityPolicyType
+    server.set_security_policy([kind.Basic256Sha256_SignAndEncrypt if security else kind.NoSecurity])
+    if security is not None and security.trusted is not None:
+        server.set_certificate_validator(await _validator(security.trusted))
     return server
+
+
+async def _validator(trusted: Path) -> Any:
+    """Accepts clients whose certificate is in the folder, within its dates and for its use."""
+    from asyncua.crypto.truststore import TrustStore
+    from asyncua.crypto.validator import CertificateValidator, CertificateValidatorOptions
+
+    store = TrustStore([trusted], [])
+    await store.load()
+    options = CertificateValidatorOptions.TRUSTED_VALIDATION | CertificateValidatorOptions.PEER_CLIENT
+    return CertificateValidator(options, store)
 
 
 async def _add_nodes(server: Server) -> dict[str, Node]:

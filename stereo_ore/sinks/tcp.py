@@ -121,9 +121,11 @@ class _Consumer:
         try:
             while not self.outbox.finished:
                 message = self.outbox.get(HEARTBEAT_S)
-                line = message.line() if message else _heartbeat()
-                self._connection.sendall(line.encode() + b"\n")
-                self.sent += message is not None
+                if message is not None:
+                    self._connection.sendall(message.line().encode() + b"\n")
+                    self.sent += 1
+                elif not self.outbox.finished:
+                    self._connection.sendall(_heartbeat())
         except OSError as fault:
             log.info("TCP consumer %s is gone: %s", self._address, fault)
         finally:
@@ -131,5 +133,5 @@ class _Consumer:
             self._leave(self)
 
 
-def _heartbeat() -> str:
-    return json.dumps({"schema": "stereo_ore/heartbeat/1", "time_ns": time.time_ns()})
+def _heartbeat() -> bytes:
+    return json.dumps({"schema": "stereo_ore/heartbeat/1", "time_ns": time.time_ns()}).encode() + b"\n"
