@@ -1,5 +1,6 @@
 """Foreign calibration formats: round trips, real files, every kind of broken file."""
 
+import contextlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 import yaml
 from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from rigs import SIZE, example_rig, raw_rigs, same, write_kalibr, write_opencv, write_ros, write_zed
 
 from stereo_ore.calibration import FORMATS, load, save
@@ -164,7 +166,7 @@ OPENCV_FAULTS = {
     "rotation of two rows": ("R", np.eye(2), "3 or 9"),
     "short translation": ("T", np.zeros(2), "3 numbers"),
     "short matrix": ("M1", np.eye(2), "9 numbers"),
-    "nan": ("T", np.array([-0.12, np.nan, 0.0]), "finite"),
+    "nan": ("T", np.array([-0.12, np.nan, 0.0]), "numbers"),
     "swapped": ("T", np.array([0.12, 0.0, 0.0]), "swapped"),
 }
 
@@ -318,3 +320,33 @@ def test_formats_are_told_apart_by_content_alone(tmp_path: Path) -> None:
     for name in FORMATS:
         text = (tmp_path / name).read_text()
         assert [other for other, module in FORMATS.items() if module.recognises(text)] == [name]
+
+
+WRITERS = {
+    "SN1.conf": lambda path: write_zed(example_rig(), path),
+    "camera.xml": lambda path: write_opencv(example_rig(), path),
+    "camera.yml": lambda path: write_opencv(example_rig(), path),
+    "camera.json": lambda path: write_opencv(example_rig(), path),
+    "left.yaml": lambda path: write_ros(example_rig(), path.parent),
+    "camchain.yaml": lambda path: write_kalibr(example_rig(), path),
+    "calib.txt": lambda path: path.write_text(MIDDLEBURY),
+    "native.yaml": lambda path: save(example_rig(), path),
+}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+@MANY
+@given(data=st.data())
+def test_a_damaged_file_is_an_error_or_a_calibration_never_a_crash(
+    name: str, data: st.DataObject, tmp_path: Path
+) -> None:
+    path = tmp_path / name
+    WRITERS[name](path)
+    text = path.read_text()
+    start = data.draw(st.integers(0, len(text) - 1))
+    piece = data.draw(st.sampled_from(["", "nan", "1e400", "-", "[", "}", "<", ":", "\n", "*a", "null", "x" * 50]))
+    path.write_text(text[:start] + piece + text[start + data.draw(st.integers(0, 40)) :])
+    with contextlib.suppress(CalibrationError):
+        read = load(path, image_size=SIZE)
+        assert np.isfinite(read.left.K).all()
+        assert read.t_right_left[0] < 0

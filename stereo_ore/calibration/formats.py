@@ -58,11 +58,13 @@ def size_of(path: Path, in_file: Sequence[Any] | None, hints: Hints) -> tuple[in
 
 
 def numbers(path: Path, key: str, values: Any, count: int | None = None) -> F64:
-    """A flat list of finite or infinite numbers, of a certain length if one is given."""
+    """A flat list of finite numbers, of a certain length if one is given."""
     try:
         array = np.array(values, dtype=np.float64).ravel()
     except (TypeError, ValueError):
         raise CalibrationError(f"must be numbers, not {values!r:.80}", file=path, key=key) from None
+    if not np.isfinite(array).all():
+        raise CalibrationError(f"must be finite numbers, not {array.tolist()!r:.80}", file=path, key=key)
     if count is not None and len(array) != count:
         raise CalibrationError(f"must have {count} numbers, not {len(array)}", file=path, key=key)
     return array

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
 
-import cv2
 import numpy as np
 
 from stereo_ore.calibration.formats import Hints, numbers, other_eye, size_of
 from stereo_ore.calibration.geometry import make_calibration
 from stereo_ore.errors import CalibrationError
 from stereo_ore.types import F64, CameraModel, StereoCalibration
-from stereo_ore.yaml_io import read_text
+from stereo_ore.yaml_io import parse_yaml, read_text
 
 NAMES = {
     "K1": "m1 k1 cameramatrix1 cammatrix1 cammat1 mtx1 leftk kleft kl leftcameramatrix cameramatrixleft mtxl",
@@ -91,26 +93,35 @@ def _entries(path: Path, text: str) -> dict[str, F64]:
     """Entries by our name for them, flat."""
     spellings = {spelling: name for name, words in NAMES.items() for spelling in words.split()}
     found = {}
-    try:
-        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-        for key in storage.root().keys():  # noqa: SIM118 - a FileNode is no mapping
-            name = spellings.get(re.sub(r"[^a-z0-9]", "", key.lower()))
-            if name:
-                found[name] = numbers(path, key, _value(storage.getNode(key)))
-        storage.release()
-    except (cv2.error, SystemError) as fault:
-        problem = getattr(fault, "err", None) or str(fault)
-        raise CalibrationError(f"is not a valid OpenCV FileStorage: {problem:.120}", file=path) from None
+    for key, value in _parse(path, text).items():
+        name = spellings.get(re.sub(r"[^a-z0-9]", "", str(key).lower()))
+        if name:
+            found[name] = numbers(path, key, value.get("data") if isinstance(value, dict) else value)
     return found
 
 
-def _value(node: cv2.FileNode) -> object:
-    """A number, the numbers of a sequence, or those of a matrix."""
-    if node.isMap():
-        return node.mat()
-    if node.isSeq():
-        return [node.at(i).real() for i in range(node.size())]
-    return node.real()
+def _parse(path: Path, text: str) -> dict[str, Any]:
+    """The entries of a storage; ``cv2.FileStorage`` itself may abort the process on a damaged file."""
+    text = text.lstrip()
+    try:
+        if text.startswith("<"):
+            return _parse_xml(text)
+        if text.startswith("{"):
+            return dict(json.loads(text))
+    except (ElementTree.ParseError, ValueError, TypeError, RecursionError) as fault:
+        raise CalibrationError(f"is not a valid OpenCV FileStorage: {fault}", file=path) from None
+    body = "\n".join(line for line in text.splitlines() if not line.startswith("%"))
+    return parse_yaml(re.sub(r"!!opencv-(nd-)?matrix", "", body), path, CalibrationError)
+
+
+def _parse_xml(text: str) -> dict[str, Any]:
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise ValueError("document types and entities are not read")
+    entries = {}
+    for entry in ElementTree.fromstring(text):
+        data = entry.find("data")
+        entries[entry.tag] = ((entry if data is None else data).text or "").split()
+    return entries
 
 
 def _entry(path: Path, found: dict[str, F64], key: str) -> F64:
