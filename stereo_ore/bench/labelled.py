@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from stereo_ore import cloud, cloud_io, evaluate, matching, metrics, rectify, sources, synth, voxels
+from stereo_ore import cloud_io, evaluate, metrics, pipeline, sources, synth
 from stereo_ore.bench.scene_files import load_rig
-from stereo_ore.config import Config
+from stereo_ore.config import Config, FilterConfig
 from stereo_ore.errors import CloudError
 from stereo_ore.synth.paper_cloud import NOISE_SHARES, Direction
 from stereo_ore.types import F64, I32, Mask, Site, StereoCalibration, StereoPair, VoxelCloud
@@ -68,16 +68,11 @@ def scene_stereo(folder: Path) -> LabelledCloud:
 def _stereo(
     name: str, cell: str, pair: StereoPair, calib: StereoCalibration, site: Site, true_disparity: F64, instance: I32
 ) -> LabelledCloud:
-    """The chain up to the voxels; noise as `metrics.is_noise` says, from the true disparity (H, W), 0 = none."""
-    config = Config()
-    rectifier = rectify.make_rectifier(calib)
-    rig = rectifier.rig
-    region = matching.find_region(rig, site.volume, config.matching)
-    straight = rectify.rectify(pair, rectifier)
-    region = matching.narrow(straight, region, site.volume, config.matching)
-    disparity = matching.match(straight, region, config.matching)
-    points = cloud.reproject(disparity, straight, site.volume, config.cloud, config.matching.sigma_px)
-    grid = voxels.voxelise(points, disparity, rig, voxels.voxel_size(config.voxel, rig, site.volume, points))
+    """The voxels of a frame; noise as `metrics.is_noise` says, from the true disparity (H, W), 0 = none."""
+    context = pipeline.make_context(calib, site, Config(filter=FilterConfig(method="none")))
+    grid, rig = pipeline.process(pair, context).voxels, context.rectifier.rig
+    if grid is None:
+        raise CloudError("gives no cloud", file=name)
     K = np.array([[rig.fx, 0, rig.cx], [0, rig.fy, rig.cy], [0, 0, 1]])
     noise = metrics.is_noise(grid.xyz, true_disparity, K, rig.fx * rig.baseline_m)
     u, v = np.rint(rig.project(grid.xyz)).astype(int).T
