@@ -93,6 +93,14 @@ def wait_for(condition: Callable[[], object], timeout_s: float = 20.0, what: str
         time.sleep(0.01)
 
 
+def names_in(file: Path) -> list[str]:
+    """Names of the frames in a file of lines, up to the last whole line."""
+    if not file.exists():
+        return []
+    lines = file.read_text().splitlines(keepends=True)
+    return [json.loads(line)["frame"] for line in lines if line.endswith("\n")]
+
+
 class ListSink:
     """Keeps what it is given, and when."""
 

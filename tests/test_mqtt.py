@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from live import free_port, make_message, running, wait_for
+from live import free_port, make_message, names_in, running, wait_for
 
 pytest.importorskip("paho.mqtt.client", reason="paho-mqtt is not installed")
 
@@ -125,7 +125,7 @@ def test_the_broker_withdraws_the_targets_of_a_program_that_vanished(broker):
 
 
 def test_a_broker_that_is_stopped_and_started_costs_no_record_and_publishing_resumes(broker, tmp_path, monkeypatch):
-    from test_serve_watch import names_in, put_pair, watch
+    from test_serve_watch import put_pair, watch
 
     monkeypatch.setattr(mqtt, "RECONNECT_S", (1, 1))
     inbox, out = tmp_path / "in", tmp_path / "out"

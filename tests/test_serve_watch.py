@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from live import ListSink, running, wait_for
+from live import ListSink, names_in, running, wait_for
 
 from stereo_ore.errors import FrameError, SourceError
 from stereo_ore.serve.frames import Position
@@ -172,10 +172,6 @@ def copy_slowly(folder: Path, count: int, rng: random.Random) -> None:
                 file.seek(0)
                 file.write(data)
             partial.rename(target)
-
-
-def names_in(file: Path) -> list[str]:
-    return [json.loads(line)["frame"] for line in file.read_text().splitlines()]
 
 
 def test_500_frames_at_random_speed_each_once_and_in_order(tmp_path):

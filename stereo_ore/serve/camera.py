@@ -74,7 +74,7 @@ class Camera:
             if capture is not None:
                 self._grab_from(capture, stop)
                 capture.release()
-            if self._connected:
+            if self._connected and not stop.is_set():
                 log.warning("%s is gone; trying again", self.name)
             self._connected = False
             stop.wait(self._retry_s)

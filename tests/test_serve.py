@@ -1,0 +1,232 @@
+"""The verb `serve`: the whole chain behind it, the camera, what it refuses."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from live import ListSink, lines_of, names_in, running, wait_for
+from typer.testing import CliRunner
+
+from stereo_ore.cli import app, load_verbs
+from stereo_ore.errors import FrameError, SourceError, StereoOreError
+from stereo_ore.serve.camera import Camera, open_camera
+from stereo_ore.serve.frames import LiveFrame, Position, Recording
+from stereo_ore.serve.loop import position
+from stereo_ore.serve.processing import Processor
+from stereo_ore.sinks.frame_files import FrameFiles
+from stereo_ore.sources import open_source
+
+COMMAND = [sys.executable, "-c", "from stereo_ore.cli import launch; launch()", "serve"]
+
+
+def invoke(*arguments: object) -> Any:
+    load_verbs()
+    return CliRunner().invoke(app, ["serve", *map(str, arguments)])
+
+
+def test_frames_copied_in_come_out_as_records_and_targets(synth_folder, tmp_path):
+    inbox, out = tmp_path / "in", tmp_path / "out"
+    inbox.mkdir()
+    options = [
+        f"--{name}={synth_folder / file}" for name, file in (("calib", "calibration.yaml"), ("site", "site.yaml"))
+    ]
+    arguments = [*COMMAND, "--watch", str(inbox), *options, f"--out={out}", "--tcp=0", "--page=0", "--valid-for=60"]
+
+    def serve(frames: range) -> list[dict[str, Any]]:
+        """Messages that a consumer got while the frames were copied in."""
+        with subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True) as process:
+            port = next(int(line.rpartition(":")[2]) for line in process.stderr if line.startswith("TCP"))
+            threading.Thread(target=process.stderr.read, daemon=True).start()
+            with socket.create_connection(("127.0.0.1", port), timeout=60) as consumer, consumer.makefile() as lines:
+                for index in frames:
+                    for side in ("left", "right"):
+                        data = (synth_folder / f"{side}.png").read_bytes()
+                        (inbox / f"{side}{index:03d}.png").write_bytes(data if index != 1 else data[:5000])
+                wait_for(lambda: len(names_in(out / "frames.jsonl.part")) == frames.stop, 60, "records")
+                process.send_signal(signal.SIGTERM)
+                received = [json.loads(line) for line in lines]
+            assert process.wait(30) == 0
+        return [message for message in received if message["schema"] == "stereo_ore/targets/1"]
+
+    first = serve(range(1))
+    # The second start finds the run finished, and goes on in it; a damaged frame between good ones is recorded.
+    second = serve(range(1, 3))
+    records = [json.loads(line) for line in (out / "frames.jsonl").read_text().splitlines()]
+    assert [(record["frame"], record["index"]) for record in records] == [("000", 0), ("001", 1), ("002", 2)]
+    assert [record["status"] for record in records] == ["ok", "failed", "ok"]
+    assert (out / "overlays" / "002.png").is_file()
+    good, stopped = first
+    assert [target["id"] for target in good["targets"]] == records[0]["targets"]
+    strikes = {ore["id"]: ore["strike"] for ore in records[0]["ores"]}
+    for target in good["targets"]:
+        assert target["position_m"] == strikes[target["id"]]["point"]["arm"]
+    assert (stopped["status"], stopped["valid"]) == ("stopped", False)
+    by_frame = {message["frame"]: message for message in second}
+    assert not by_frame["001"]["valid"]
+    assert by_frame["001"]["reasons"] == ["TRUNCATED_IMAGE"]
+    assert by_frame["002"]["targets"] == [{**target} for target in good["targets"]]
+
+
+def test_a_recording_is_served_to_its_end(tmp_path):
+    recording = tmp_path / "recording"
+    recording.mkdir()
+    for index in range(5):
+        cv2.imwrite(str(recording / f"frame{index}.png"), np.full((8, 16, 3), index, np.uint8))
+    sink = ListSink()
+    with running(Recording(open_source(recording)), tmp_path / "out", [sink]):
+        wait_for(lambda: len(sink.messages) == 5)
+    assert names_in(tmp_path / "out" / "frames.jsonl") == [f"frame{index}" for index in range(5)]
+
+
+def test_a_fault_of_ours_is_a_failed_frame_and_no_end(tmp_path):
+    frame = LiveFrame("f", 0, 0, (), lambda: 1 / 0)
+
+    class Context:
+        site = __import__("stereo_ore.types", fromlist=["Site"]).Site()
+
+    record = json.loads(Processor(Context(), FrameFiles(tmp_path))(frame).record)
+    assert (record["status"], record["reasons"][0]["code"], record["targets"]) == ("failed", "INTERNAL_ERROR", [])
+
+
+def test_the_position_is_that_of_the_last_record(tmp_path):
+    assert position(tmp_path) == Position(None, 0)
+    lines = [lines_of(LiveFrame(name, index, 0, (), lambda: None)).record for index, name in enumerate("ab")]
+    (tmp_path / "frames.jsonl.part").write_text("\n".join(lines) + "\n")
+    assert position(tmp_path) == Position("b", 2)
+
+
+class Playback:
+    """A recorded stand-in for a UVC camera: a side-by-side video that ends, as a camera does that is unplugged."""
+
+    opened = 0
+
+    def __init__(self, path: Path, allowed: threading.Semaphore) -> None:
+        type(self).opened += 1
+        self.video, self.allowed = cv2.VideoCapture(str(path)), allowed
+
+    def read(self) -> tuple[bool, Any]:
+        self.allowed.acquire(timeout=5)
+        return self.video.read()
+
+    def release(self) -> None:
+        self.video.release()
+
+
+@pytest.fixture
+def video(tmp_path: Path) -> Path:
+    path = tmp_path / "camera.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 15, (128, 48))
+    for index in range(10):
+        image = np.full((48, 128, 3), 20 * index, np.uint8)
+        image[:, 64:] += 10
+        writer.write(image)
+    writer.release()
+    return path
+
+
+@pytest.fixture
+def stop() -> Iterator[threading.Event]:
+    stop = threading.Event()
+    yield stop
+    stop.set()
+
+
+def test_a_camera_delivers_both_eyes_with_stamps(video, stop):
+    allowed = threading.Semaphore(0)
+    camera = Camera(lambda: Playback(video, allowed), "camera 0")
+    frames = camera.frames(Position(None, 7), stop)
+    for number in range(3):
+        allowed.release()
+        frame = next(frames)
+        pair = frame.read()
+        assert pair.left.shape == pair.right.shape == (48, 64, 3)
+        assert np.abs(pair.left.astype(int) - 20 * number).max() <= 4
+        assert np.abs(pair.right.astype(int) - 20 * number - 10).max() <= 4
+        assert (frame.index, pair.index, pair.stamp_ns) == (7 + number, 7 + number, frame.arrived_ns)
+        assert 0 <= frame.age_s < 10
+    assert "delivers" in camera.state()
+
+
+def test_a_slow_reader_gets_the_newest_picture(video, stop):
+    allowed = threading.Semaphore(0)
+    camera = Camera(lambda: Playback(video, allowed), "camera 0")
+    frames = camera.frames(Position(), stop)
+    allowed.release()
+    next(frames)
+    for _ in range(8):
+        allowed.release()
+    wait_for(lambda: "7 pictures passed over" in camera.state())
+    assert np.abs(next(frames).read().left.astype(int) - 160).max() <= 4
+
+
+def test_a_camera_that_was_unplugged_is_opened_again(video, stop):
+    allowed = threading.Semaphore(1000)
+    missing = [True, True]
+
+    def open_capture() -> Playback | None:
+        return None if missing and missing.pop() else Playback(video, allowed)
+
+    camera = Camera(open_capture, "camera 0", retry_s=0.05)
+    before = Playback.opened
+    frames = camera.frames(Position(), stop)
+    for frame in islice(frames, 3):
+        frame.read()
+    wait_for(lambda: Playback.opened >= before + 3, what="third opening")
+
+
+def test_a_picture_that_can_not_be_split_is_a_failed_frame(stop):
+    class Odd(Playback):
+        def __init__(self) -> None:
+            self.left = 1
+
+        def read(self) -> tuple[bool, Any]:
+            self.left -= 1
+            return self.left == 0, np.zeros((4, 7, 3), np.uint8)
+
+        def release(self) -> None:
+            pass
+
+    frame = next(Camera(Odd, "camera 0").frames(Position(), stop))
+    with pytest.raises(FrameError, match="7 px wide"):
+        frame.read()
+
+
+def test_a_camera_that_is_not_there(monkeypatch):
+    monkeypatch.setenv("OPENCV_LOG_LEVEL", "OFF")
+    with pytest.raises(SourceError, match="camera 97 can't be opened"):
+        open_camera(97, (1280, 720))
+
+
+@pytest.mark.parametrize("sources", [[], ["--watch", "in", "--camera", "0"], ["x", "--watch", "in"]])
+def test_one_source_and_one_only(synth_folder, tmp_path, sources):
+    result = invoke(*sources, "--calib", synth_folder / "calibration.yaml", "--out", tmp_path / "out")
+    assert result.exit_code == 2
+    assert "give one of" in result.output
+
+
+def test_an_output_folder_of_another_run_is_refused(synth_folder, tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "run.json").write_text('{"digest": "other"}')
+    result = invoke(synth_folder, "--calib", synth_folder / "calibration.yaml", "--out", out)
+    assert isinstance(result.exception, StereoOreError)
+    assert "--overwrite" in str(result.exception)
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid"), reason="POSIX only")
+def test_help_names_every_consumer():
+    result = invoke("--help")
+    assert result.exit_code == 0
+    for option in ("--watch", "--camera", "--opcua", "--mqtt", "--tcp", "--page", "--valid-for"):
+        assert option in result.output
