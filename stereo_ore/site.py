@@ -12,12 +12,14 @@ from pydantic import BeforeValidator, Field
 from stereo_ore.config.fields import Number, Section
 from stereo_ore.config.loader import validate
 from stereo_ore.errors import ConfigError
-from stereo_ore.transforms import inverse, rotate, rotation_fault
+from stereo_ore.transforms import inverse, nearest_rotation, rotate, rotation_fault
 from stereo_ore.types import F64, Plane, Site, Volume
 from stereo_ore.yaml_io import load_yaml
 
 FORMAT = "stereo_ore/site"
 FARTHEST_ARM_M = 100.0
+TYPED_TOLERANCE = 1e-3
+"""A rotation typed with three to four decimals is made exact; what is further off is an error."""
 
 
 Length = Annotated[Number, Field(gt=0, lt=50)]
@@ -99,7 +101,7 @@ def _faults(file: _File) -> list[str]:
     found = []
     if file.arm_from_camera is not None:
         T = np.array(file.arm_from_camera)
-        if fault := rotation_fault(T[:3, :3]):
+        if fault := rotation_fault(T[:3, :3], TYPED_TOLERANCE):
             found.append(f"arm_from_camera: the upper left 3×3 part {fault}")
         if not np.array_equal(T[3], (0, 0, 0, 1)):
             found.append(f"arm_from_camera: the last row must be [0, 0, 0, 1], not {T[3].tolist()}")
@@ -117,7 +119,7 @@ def _faults(file: _File) -> list[str]:
 
 
 def _site(file: _File, path: Path) -> Site:
-    T_arm_camera = None if file.arm_from_camera is None else np.array(file.arm_from_camera)
+    T_arm_camera = None if file.arm_from_camera is None else _rigid(np.array(file.arm_from_camera))
     grizzly, box, reach = file.grizzly, file.working_volume, file.reach
     return Site(
         T_arm_camera=T_arm_camera,
@@ -129,6 +131,13 @@ def _site(file: _File, path: Path) -> Site:
         reach_min_m=None if reach is None else np.array(reach.min_m),
         reach_max_m=None if reach is None else np.array(reach.max_m),
     )
+
+
+def _rigid(T: F64) -> F64:
+    """The transform with an exact rotation; one that is exact stays as it is, to the last bit."""
+    if rotation_fault(T[:3, :3], 1e-9):
+        T[:3, :3] = nearest_rotation(T[:3, :3])
+    return T
 
 
 def _to(frame: Frame, T_arm_camera: F64 | None) -> F64:

@@ -46,6 +46,12 @@ def rotation_fault(R: Array, tolerance: float = 1e-4) -> str | None:
     return None
 
 
+def nearest_rotation(M: Array) -> Array:
+    """The rotation nearest to a (3, 3) matrix."""
+    U, _, Vt = np.linalg.svd(M)
+    return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt, np.float64)
+
+
 def frame_from_normal(normal: Array, towards: Array) -> Array:
     """Right-handed axes as rows: x along ``towards`` projected into the plane, z along ``normal``.
 

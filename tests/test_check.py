@@ -251,6 +251,17 @@ def test_single_pixels_go_where_the_images_go(raw_scene) -> None:
     assert np.abs(rectify_points(truth, recorded, recorded)[0] - at).max() < 1e-3
 
 
+def test_single_pixels_of_a_fisheye_go_where_the_images_go() -> None:
+    eyes = [
+        replace(eye, distortion=(0.02, -0.01, 0.003, -0.001), projection="equidistant")
+        for eye in (TRUTH.left, TRUTH.right)
+    ]
+    fisheye = replace(TRUTH, left=eyes[0], right=eyes[1])
+    maps, at = make_rectifier(fisheye).right, np.array([[300, 200], [640, 360], [900, 500]])
+    recorded = np.stack([map_[at[:, 1], at[:, 0]] for map_ in maps], 1)
+    assert np.abs(rectify_points(fisheye, recorded, recorded)[1] - at).max() < 1e-2
+
+
 def test_the_residual_is_the_same_for_any_number_of_threads(flat_plane_pair) -> None:
     pair = flat_plane_pair.pair
     grey = [cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) for image in (pair.left, pair.right)]

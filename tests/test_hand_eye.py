@@ -11,12 +11,12 @@ from rigs import SIZE, example_rig, rectified_to_raw, rendered_pair, small_rig
 from stereo_ore.calibration import save
 from stereo_ore.calibration.detect import Board, Corners
 from stereo_ore.calibration.hand_eye import ArmView, Mount, fit_hand_eye
-from stereo_ore.calibration.pose import fit_rigid, from_vector, nearest_rotation, to_vector
+from stereo_ore.calibration.pose import fit_rigid, from_vector, to_vector
 from stereo_ore.calibration.tables import POINT_COLUMNS, read_poses, read_touched
 from stereo_ore.calibration.touched import HandEyeResult, Touched, fit_touched
 from stereo_ore.errors import CalibrationError
 from stereo_ore.site import load_site
-from stereo_ore.transforms import apply, inverse
+from stereo_ore.transforms import apply, inverse, nearest_rotation
 from stereo_ore.types import F64
 
 RIG = example_rig()

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from stereo_ore.calibration.pose import from_vector
 from stereo_ore.errors import ConfigError
 from stereo_ore.site import HandEyeRecord, load_site, save_arm, save_site
-from stereo_ore.transforms import apply, inverse
+from stereo_ore.transforms import apply, inverse, rotation_fault
 from stereo_ore.types import Plane, Site, Volume
 
 EXAMPLE = Path(__file__).parents[1] / "calib" / "site.yaml"
@@ -110,6 +110,15 @@ def test_a_new_arm_keeps_what_the_arm_frame_holds(tmp_path: Path) -> None:
 
 
 IDENTITY = np.eye(4).tolist()
+
+
+def test_a_rotation_typed_with_few_decimals_is_made_exact(tmp_path: Path) -> None:
+    typed = [[1, 0, 0, 0.4], [0, -0.966, 0.259, -0.65], [0, -0.259, -0.966, 2.6], [0, 0, 0, 1]]
+    T = load_site(write(tmp_path, arm_from_camera=typed)).T_arm_camera
+    assert rotation_fault(T[:3, :3], 1e-12) is None
+    assert np.abs(T - typed).max() < 1e-3
+
+
 BROKEN = {
     "unknown key": ({"grizzly__openning_m": 0.3}, "did you mean opening_m"),
     "unknown section": ({"camera": 1}, "camera"),

@@ -15,11 +15,11 @@ import numpy as np
 
 from stereo_ore.calibration.detect import Board, Corners
 from stereo_ore.calibration.points import rectify_points
-from stereo_ore.calibration.pose import fit_rigid, from_vector, nearest_rotation, refine, to_vector
+from stereo_ore.calibration.pose import fit_rigid, from_vector, refine, to_vector
 from stereo_ore.calibration.touched import HandEyeResult
 from stereo_ore.errors import CalibrationError
 from stereo_ore.rectify import make_rectifier
-from stereo_ore.transforms import apply, inverse
+from stereo_ore.transforms import apply, inverse, nearest_rotation
 from stereo_ore.types import F64, Rig, StereoCalibration
 
 FEWEST_POSES = 3

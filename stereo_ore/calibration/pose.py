@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from stereo_ore.calibration.geometry import rotation_matrix
-from stereo_ore.transforms import apply
+from stereo_ore.transforms import apply, nearest_rotation
 from stereo_ore.types import F64, Rig
 
 
@@ -17,12 +17,6 @@ def fit_rigid(target: F64, source: F64) -> F64:
     T[:3, :3] = nearest_rotation((target - middle_target).T @ (source - middle_source))
     T[:3, 3] = middle_target - T[:3, :3] @ middle_source
     return T
-
-
-def nearest_rotation(M: F64) -> F64:
-    """The rotation nearest to a (3, 3) matrix."""
-    U, _, Vt = np.linalg.svd(M)
-    return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt, np.float64)
 
 
 def from_vector(vector: F64) -> F64:
