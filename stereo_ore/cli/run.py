@@ -182,7 +182,7 @@ def _report(out: Path, recording: Source, indices: range, calibration: StereoCal
     for finding in check["findings"] if check else ():
         log.warning("calibration %s: %s", finding["severity"], finding["text"])
     try:
-        write_report(out)
+        typer.echo(f"report: {write_report(out)}")
     except MissingExtraError as error:
         log.warning("no report.html: %s", error)
 
