@@ -40,7 +40,7 @@ class MqttSettings(_Section):
 
     host: str = LOOPBACK
     port: Port = 1883
-    topic: str = Field("stereo_ore/targets", min_length=1, pattern=r"^[^+#\0]+$")
+    topic: str = Field("stereo_ore/targets", min_length=1, pattern=r"^[^+#\x00]+$")
     authority: Path | None = None
     users: Path | None = None
 
