@@ -103,12 +103,16 @@ def check_pair(pair: StereoPair, calibration: StereoCalibration, known: Sequence
     """
     height, width = pair.left.shape[:2]
     check_image_size(calibration, width, height)
-    matches = match_features(_grey(pair.left), _grey(pair.right))
-    residual = _residual(matches, calibration)
+    result = check_matches(match_features(_grey(pair.left), _grey(pair.right)), calibration)
     rectified = rectify(pair, make_rectifier(calibration))
     measured = tuple(_measure(point, rectified, calibration) for point in known)
-    findings = [*_row_findings(residual, matches, calibration, rectified.rig), *offset_findings(measured)]
-    return CheckResult(residual, tuple(findings), measured, rectified.rig)
+    return replace(result, findings=(*result.findings, *offset_findings(measured)), measured=measured)
+
+
+def check_matches(matches: Matches, calibration: StereoCalibration) -> CheckResult:
+    """Judge a calibration by matched features of the recorded images."""
+    residual, rig = _residual(matches, calibration), make_rectifier(calibration).rig
+    return CheckResult(residual, tuple(_row_findings(residual, matches, calibration, rig)), (), rig)
 
 
 def _grey(image: U8) -> U8:
