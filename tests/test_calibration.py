@@ -1,5 +1,7 @@
 """Native calibrations, what every calibration must fulfil, conversion, `calibrate import` and `show`."""
 
+import shlex
+import shutil
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -227,3 +229,14 @@ def test_a_fault_is_one_line_and_exit_code_1(arguments: tuple[object, ...], word
     assert done.returncode == 1
     assert word in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_the_first_commands_of_the_readme_run(tmp_path: Path) -> None:
+    shutil.copytree(CALIB, tmp_path / "calib")
+    block = (CALIB / "README.md").read_text().partition("```sh\n")[2].partition("```")[0]
+    lines = block.strip().splitlines()
+    assert [line.split()[2] for line in lines] == ["import", "show"]
+    for line in lines:
+        subprocess.run(shlex.split(line), cwd=tmp_path, check=True, capture_output=True)
+    assert load(tmp_path / "ours.yaml").images == "raw"
+    assert (tmp_path / "ours.png").exists()

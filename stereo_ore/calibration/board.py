@@ -104,7 +104,7 @@ def calibrate_stereo(
             raise CalibrationError(
                 f"{len(used)} of {len(kept)} views can be used, {FEWEST_VIEWS} are needed",
                 remedy="Record the board at more places, distances and tilts. "
-                + "; ".join(f"{view.name}: {view.reason}" for view in kept if view.reason),
+                + "; ".join([f"{view.name}: {view.reason}" for view in kept if view.reason][:5]),
             )
         rms, calibration, errors = _solve(used, board, image_size, coefficients)
         rated = [

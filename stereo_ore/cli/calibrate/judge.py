@@ -34,6 +34,7 @@ def check(
     from stereo_ore.calibration.check import check_pair
     from stereo_ore.calibration.check_report import draw, report
     from stereo_ore.cli import EXIT_QUALITY
+    from stereo_ore.rectify import make_rectifier, rectify
     from stereo_ore.sources import open_source
 
     points = [_known(text) for text in known or ()]
@@ -43,10 +44,11 @@ def check(
     pair = recording.read(frame)
     size = (pair.left.shape[1], pair.left.shape[0])
     pair_of_eyes = None if eyes is None else two_numbers(eyes, ",", "--eyes")
-    result = check_pair(pair, load(calib, images, size, UNITS_M[unit], pair_of_eyes), points)
+    calibration = load(calib, images, size, UNITS_M[unit], pair_of_eyes)
+    result = check_pair(pair, calibration, points)
     typer.echo(report(result))
     if picture is not None:
-        draw(result, pair.left, picture)
+        draw(result, rectify(pair, make_rectifier(calibration)).left, picture)
     if result.verdict in ("wrong", "unclear"):
         raise typer.Exit(EXIT_QUALITY)
 
