@@ -18,6 +18,7 @@ from stereo_ore.record import record, to_line
 from stereo_ore.sinks.frame_files import FrameFiles
 from stereo_ore.sinks.run_folder import FrameLines
 from stereo_ore.sources import Source
+from stereo_ore.types import FrameResult, Site
 
 
 @dataclass(frozen=True)
@@ -41,12 +42,17 @@ class Job:
         if self.strict and result.status == "failed":
             reason = result.reasons[-1]
             raise FrameError(f"frame {result.name} failed: {reason.detail}", code=reason.code)
-        line = to_line(record(result, self.context.site))
-        stages = {name: round(ms, 3) for name, ms in result.stages_ms.items()}
-        timing = {"frame": result.name, "stages_ms": stages, "total_ms": round(sum(stages.values()), 3)}
+        lines = frame_lines(result, self.context.site, self.source.files(index))
         self.files.write(result)
-        inputs = {"frame": result.name, "files": {str(path): sha256(path) for path in self.source.files(index)}}
-        return FrameLines(line, json.dumps(timing), json.dumps(inputs))
+        return lines
+
+
+def frame_lines(result: FrameResult, site: Site, inputs: Sequence[Path]) -> FrameLines:
+    """Record, timing and inputs of a frame that was read from the files `inputs`."""
+    stages = {name: round(ms, 3) for name, ms in result.stages_ms.items()}
+    timing = {"frame": result.name, "stages_ms": stages, "total_ms": round(sum(stages.values()), 3)}
+    hashes = {"frame": result.name, "files": {str(path): sha256(path) for path in inputs}}
+    return FrameLines(to_line(record(result, site)), json.dumps(timing), json.dumps(hashes))
 
 
 def run(job: Job, indices: Sequence[int], workers: int = 1) -> Iterator[FrameLines]:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import time
 from dataclasses import dataclass, replace
 
 from stereo_ore import pipeline
-from stereo_ore.batch import sha256
+from stereo_ore.batch import frame_lines
 from stereo_ore.errors import FrameError
-from stereo_ore.record import record, to_line
 from stereo_ore.serve.frames import LiveFrame
 from stereo_ore.sinks.frame_files import FrameFiles
 from stereo_ore.sinks.run_folder import FrameLines
@@ -29,12 +27,9 @@ class Processor:
     def __call__(self, frame: LiveFrame) -> FrameLines:
         """Process a frame and write its files; what can't be read is a failed frame."""
         result = self._result(frame)
+        lines = frame_lines(result, self.context.site, frame.files)
         self.files.write(result)
-        stages = {name: round(ms, 3) for name, ms in result.stages_ms.items()}
-        timing = {"frame": frame.name, "stages_ms": stages, "total_ms": round(sum(stages.values()), 3)}
-        inputs = {"frame": frame.name, "files": {str(path): sha256(path) for path in frame.files}}
-        line = to_line(record(result, self.context.site))
-        return FrameLines(line, json.dumps(timing), json.dumps(inputs))
+        return lines
 
     def _result(self, frame: LiveFrame) -> FrameResult:
         start = time.perf_counter()
