@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -16,7 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stereo_ore.errors import CalibrationError, FrameError, SourceError
-from stereo_ore.sources import BagOptions, open_source
+from stereo_ore.sources import BagOptions, open_source, ros_messages
 from stereo_ore.sources.pairing import pair_by_stamp
 from stereo_ore.sources.topics import camera_info_topic, choose_topics, is_rectified
 
@@ -110,6 +111,63 @@ def test_a_driver_without_stamps_is_paired_by_time_of_recording(tmp_path: Path) 
     np.testing.assert_array_equal(source.read(1).right, picture(1, 1))
 
 
+# --- encodings
+
+BLUE, GREEN, RED = 50, 100, 200
+Y, U, V = 123, 91, 176  # of that colour, BT.601 limited range
+
+
+def mosaic(letters: str) -> np.ndarray:
+    values = {"R": RED, "G": GREEN, "B": BLUE}
+    return np.tile(np.array([values[letter] for letter in letters.upper()], np.uint8).reshape(2, 2), (4, 4))
+
+
+def message(encoding: str, rows: np.ndarray, width: int, big: bool = False) -> SimpleNamespace:
+    flat = np.ascontiguousarray(rows).view(np.uint8).reshape(len(rows), -1)
+    return SimpleNamespace(
+        encoding=encoding, height=len(rows), width=width, step=flat.shape[1], is_bigendian=big, data=flat.ravel()
+    )
+
+
+@pytest.mark.parametrize("pattern", ["rggb", "bggr", "gbrg", "grbg"])
+def test_bayer_patterns(pattern: str) -> None:
+    found = ros_messages.image(message(f"bayer_{pattern}8", mosaic(pattern), 8), Path("bag"))
+    np.testing.assert_array_equal(found[2:-2, 2:-2], np.broadcast_to((BLUE, GREEN, RED), (4, 4, 3)))
+
+
+@pytest.mark.parametrize(
+    ("encoding", "order"), [("yuv422", (U, Y, V, Y)), ("yuv422_yuy2", (Y, U, Y, V)), ("uyvy", (U, Y, V, Y))]
+)
+def test_yuv(encoding: str, order: tuple[int, ...]) -> None:
+    found = ros_messages.image(message(encoding, np.tile(np.array(order, np.uint8), (8, 4)), 8), Path("bag"))
+    assert np.abs(found.astype(int) - (BLUE, GREEN, RED)).max() <= 3
+
+
+@pytest.mark.parametrize("big", [False, True])
+def test_16_bit_of_either_byte_order(big: bool) -> None:
+    values = np.arange(48, dtype=np.uint16).reshape(6, 8) * 500
+    stored = values.astype(">u2" if big else "<u2")
+    found = ros_messages.image(message("mono16", stored, 8, big), Path("bag"))
+    np.testing.assert_array_equal(found, np.repeat(values[:, :, None], 3, 2))
+
+
+@pytest.mark.parametrize(
+    ("change", "error"),
+    [
+        ({"encoding": "32FC1"}, "image encoding '32FC1' is not known"),
+        ({"height": 9}, "8×9 mono8 with a step of 8 does not fit its 64 bytes"),
+        ({"step": 7}, "step of 7 does not fit"),
+        ({"width": 0}, "0×8"),
+        ({"data": np.zeros(0, np.uint8)}, "does not fit its 0 bytes"),
+    ],
+)
+def test_images_that_contradict_themselves(change: dict[str, object], error: str) -> None:
+    bad = message("mono8", np.zeros((8, 8), np.uint8), 8)
+    vars(bad).update(change)
+    with pytest.raises(FrameError, match=error):
+        ros_messages.image(bad, Path("bag"))
+
+
 # --- calibration
 
 
@@ -144,6 +202,10 @@ def test_no_calibration_without_both_infos_or_when_they_are_empty(tmp_path: Path
         (("/right/image_raw", "/left/image_raw", "/rgb/image"), ("/left/image_raw", "/right/image_raw")),
         (("/cam_left", "/cam_right"), ("/cam_left", "/cam_right")),
         (
+            ("/left/image", "/right/image", "/left/image/compressedDepth", "/right/image/compressedDepth"),
+            ("/left/image", "/right/image"),
+        ),
+        (
             ("/left/image", "/right/image", "/left/image/compressed", "/right/image/compressed"),
             ("/left/image", "/right/image"),
         ),
@@ -167,8 +229,10 @@ def test_topics_are_recognised(topics: tuple[str, ...], expected: tuple[str, str
     ],
 )
 def test_topics_are_never_guessed(topics: tuple[str, ...], count: int) -> None:
-    with pytest.raises(SourceError, match=rf"has {count} pairs of left and right image topics.*--left-topic"):
+    with pytest.raises(SourceError, match=rf"has {count} pairs of left and right image topics") as caught:
         choose_topics(topics, None, Path("bag"))
+    options = "--left-topic /left/image_raw --right-topic /right/image_raw or --left-topic /left/image_rect"
+    assert (options if count else "--left-topic and --right-topic; image topics: ") in str(caught.value)
 
 
 def test_given_topics(tmp_path: Path) -> None:

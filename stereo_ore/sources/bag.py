@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -63,23 +63,26 @@ class Reader:
         """Topics that carry messages of these types."""
         return {connection.topic for connection in self.bag.connections if connection.msgtype in types}
 
-    def messages(self, topic: str, start: int | None = None, stop: int | None = None) -> Iterator[tuple[int, Any]]:
-        """Times of recording [ns] and messages of a topic, from `start` to before `stop`."""
-        connections = [connection for connection in self.bag.connections if connection.topic == topic]
+    def messages(
+        self, topics: Collection[str], start: int | None = None, stop: int | None = None
+    ) -> Iterator[tuple[str, int, Any]]:
+        """Topic, time of recording [ns] and message, of some topics, from `start` to before `stop`."""
+        connections = [connection for connection in self.bag.connections if connection.topic in topics]
         for connection, logged_ns, data in self.bag.messages(connections, start, stop):
-            yield logged_ns, self.bag.deserialize(data, connection.msgtype)
+            yield connection.topic, logged_ns, self.bag.deserialize(data, connection.msgtype)
 
-    def entries(self, topic: str) -> list[Entry]:
-        """All images of a topic, by stamp; a driver that leaves the stamp empty is taken at the time of recording."""
+    def entries(self, topics: tuple[str, str]) -> tuple[list[Entry], list[Entry]]:
+        """All images of two topics, by stamp; where a driver leaves the stamp empty, the time of recording counts."""
+        found: dict[str, list[Entry]] = {topic: [] for topic in topics}
         with _known_faults(self.path):
-            found = [
-                Entry(logged, ros_messages.stamp_ns(message) or logged) for logged, message in self.messages(topic)
-            ]
-        return sorted(found, key=lambda entry: (entry.stamp_ns, entry.logged_ns))
+            for topic, logged_ns, message in self.messages(topics):
+                found[topic].append(Entry(logged_ns, ros_messages.stamp_ns(message) or logged_ns))
+        left, right = (sorted(found[topic], key=lambda entry: (entry.stamp_ns, entry.logged_ns)) for topic in topics)
+        return left, right
 
     def message(self, topic: str, entry: Entry) -> Any:
         """The message of an entry."""
-        for logged_ns, message in self.messages(topic, entry.logged_ns, entry.logged_ns + 1):
+        for _, logged_ns, message in self.messages([topic], entry.logged_ns, entry.logged_ns + 1):
             if (ros_messages.stamp_ns(message) or logged_ns) == entry.stamp_ns:
                 return message
         raise FrameError(f"has lost its message at {entry.logged_ns} ns", code="UNREADABLE_IMAGE", file=self.path)
@@ -153,7 +156,7 @@ def open_bag(path: Path, options: BagOptions) -> BagPairs:
     """
     reader = Reader(path)
     topics = choose_topics(reader.topics(*ros_messages.IMAGE_TYPES), options.topics, path)
-    left, right = reader.entries(topics[0]), reader.entries(topics[1])
+    left, right = reader.entries(topics)
     if not left and not right:
         raise SourceError("holds no image", file=path, key=", ".join(topics))
     pairs = pair_by_stamp(
@@ -181,7 +184,7 @@ def _calibration(reader: Reader, topics: tuple[str, str]) -> StereoCalibration |
         if topic not in reader.topics(ros_messages.CAMERA_INFO):
             return None
         with _known_faults(reader.path):
-            infos.append(next((message for _, message in reader.messages(topic)), None))
+            infos.append(next((message for _, _, message in reader.messages([topic])), None))
     if any(info is None or not np.any(ros_messages.matrix(info, "K")) for info in infos):
         return None
     return ros_messages.calibration(infos[0], infos[1], is_rectified(topics[0]), reader.path)

@@ -8,7 +8,7 @@ from pathlib import Path
 from stereo_ore.errors import SourceError
 from stereo_ore.sources.names import split_name
 
-COMPRESSED = "/compressed"
+COMPRESSED, DEPTH = "/compressed", "/compressedDepth"
 
 
 def choose_topics(topics: Collection[str], wanted: tuple[str, str] | None, path: Path) -> tuple[str, str]:
@@ -28,11 +28,12 @@ def choose_topics(topics: Collection[str], wanted: tuple[str, str] | None, path:
                 f"has no image topic {missing[0]}", file=path, key="topics", remedy=f"Image topics: {listing}"
             )
         return wanted
-    pairs = _pairs(topics)
+    pairs = _pairs([topic for topic in topics if not topic.endswith(DEPTH)])
     pairs = [pair for pair in pairs if (_plain(pair[0]), _plain(pair[1])) not in pairs or _plain(pair[0]) == pair[0]]
     if len(pairs) != 1:
         found = f"has {len(pairs)} pairs of left and right image topics"
-        remedy = f"Give --left-topic and --right-topic; image topics: {listing}"
+        choices = " or ".join(f"--left-topic {left} --right-topic {right}" for left, right in pairs)
+        remedy = f"Give {choices or f'--left-topic and --right-topic; image topics: {listing}'}"
         raise SourceError(found, file=path, key="topics", remedy=remedy)
     return pairs[0]
 
