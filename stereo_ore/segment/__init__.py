@@ -70,7 +70,7 @@ def segment(surface: Surface, grizzly: Grizzly, volume: Volume | None, config: S
     view = look(surface, grizzly, config)
     labels = np.zeros(view.mask.shape, np.int32)
     counts = dict.fromkeys(("parts", "dropped_small", "dropped_unlike"), 0)
-    for box, heap in _heaps(view.mask, config.band_px):
+    for box, heap in _heaps(view.mask, band_px(view, config)):
         lumps, tally = _segment_heap(_part(view, box, heap), config)
         room = (labels[box] == 0) & (lumps > 0)
         labels[box][room] = lumps[room] + labels.max()
@@ -102,6 +102,11 @@ def look(surface: Surface, grizzly: Grizzly, config: SegmentConfig) -> View:
     return View(px, raw, grey, surface.bgr, mask, on_bar, inside, edges(grey, mask), relief, threshold, size)
 
 
+def band_px(view: View, config: SegmentConfig) -> int:
+    """Band [px] on either side of the outline within which the image may move it."""
+    return max(3, round(config.band * view.opening_px))
+
+
 def _heaps(mask: Mask, band: int) -> Iterator[tuple[tuple[slice, slice], Mask]]:
     """Box and mask of each heap: what touches, or nearly so that outlines may meet."""
     kernel = np.ones((band + 1, band + 1), np.uint8)
@@ -120,10 +125,40 @@ def _part(view: View, box: tuple[slice, slice], mask: Mask) -> View:
 
 def _segment_heap(view: View, config: SegmentConfig) -> tuple[I32, dict[str, int]]:
     """Lumps of one heap."""
-    scene, parts = oversegment(view, config)
-    labels = filled(merge_parts(scene, parts, config.merge_probability))
-    labels, dropped = _select(scene, labels, view, config)
-    return labels, {"parts": int(len(np.unique(parts)) - 1)} | dropped
+    coarse = _shrunk(view, max(1, int(view.opening_px / config.opening_px)))
+    scene, parts = oversegment(coarse, config)
+    lumps, dropped = _select(scene, filled(merge_parts(scene, parts, config.merge_probability)), coarse, config)
+    tally = {"parts": int(len(np.unique(parts)) - 1)} | dropped
+    if coarse is view:
+        return lumps, tally
+    seeds = cv2.resize(lumps.astype(np.float32), view.mask.shape[::-1], interpolation=cv2.INTER_NEAREST)
+    relief = smooth_relief(view.filled, view.mask, config.smooth_px)
+    weight = config.relief_weight / view.relief.sigma_px
+    grown = grow(seeds.astype(np.int32), view.mask, view.grey, relief, weight, band_px(view, config))
+    return filled(grown), tally
+
+
+def _shrunk(view: View, factor: int) -> View:
+    """The view at 1/factor of its size: what parts lumps needs no more pixels than that, and noise averages out."""
+    if factor == 1:
+        return view
+    height, width = view.mask.shape
+    size = max(width // factor, 1), max(height // factor, 1)
+
+    def mean(image: F32 | U8 | Mask) -> F32:
+        return np.asarray(cv2.resize(image.astype(np.float32), size, interpolation=cv2.INTER_AREA), dtype=np.float32)
+
+    def of_measured(values: F32) -> F32:
+        valid = mean(np.isfinite(values))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.where(valid > 0.5, mean(np.nan_to_num(values, nan=0.0)) / valid, np.nan).astype(np.float32)
+
+    return replace(
+        view, filled=of_measured(view.filled), raw=of_measured(view.raw), grey=mean(view.grey).astype(np.uint8),
+        bgr=mean(view.bgr).astype(np.uint8), mask=mean(view.mask) > 0.5, on_bar=mean(view.on_bar) > 0.5,
+        inside=mean(view.inside), edge=mean(view.edge), opening_px=view.opening_px / factor,
+        relief=replace(view.relief, pixel_m=view.relief.pixel_m * factor),
+    )  # fmt: skip
 
 
 def oversegment(view: View, config: SegmentConfig) -> tuple[Scene, I32]:
@@ -136,7 +171,7 @@ def oversegment(view: View, config: SegmentConfig) -> tuple[Scene, I32]:
     barrier = long_parts(view.mask & (strength > 1), config.least_crease * view.opening_px)
     least = max(1.5, config.least_core * view.opening_px)
     seeds = cores(view.mask, barrier, config.neck, least)
-    parts = grow(seeds, view.mask, view.grey, relief, config.relief_weight / sigma, config.band_px)
+    parts = grow(seeds, view.mask, view.grey, relief, config.relief_weight / sigma, band_px(view, config))
     colour = cv2.cvtColor(cv2.GaussianBlur(view.bgr, (0, 0), 1.5), cv2.COLOR_BGR2Lab).astype(np.float32)
     scene = Scene(
         relief, view.raw, valleys, view.edge, gradient(relief) / np.float32(sigma), colour,

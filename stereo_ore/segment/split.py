@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
+from scipy import ndimage
 
 from stereo_ore.types import F32, I32, Mask
 
-LEVEL_RATIO = 1.15
+LEVEL_RATIO = 1.06
 """Ratio of successive levels of the tree of cores."""
 
 
@@ -54,37 +57,50 @@ def cores(mask: Mask, barrier: Mask, ratio: float, least: float) -> I32:
     """
     free = cv2.copyMakeBorder((mask & ~barrier).astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT)
     thickness = np.asarray(cv2.distanceTransform(free, cv2.DIST_L2, 5)[1:-1, 1:-1], dtype=np.float32)
-    labels = np.zeros(mask.shape, np.int32)
-    peaks = [0.0]
     top = float(thickness.max(initial=0.0))
-    count = int(np.log(top / least) / np.log(LEVEL_RATIO)) if top > least else -1
-    for level in [*(least * LEVEL_RATIO ** np.arange(count, 0, -1)), least] if count >= 0 else []:
-        labels = _descend(thickness, labels, peaks, float(level), ratio)
-    return labels
+    count = int(np.log(top / least) / np.log(LEVEL_RATIO)) + 1 if top > least else 0
+    found = Cores(np.zeros(mask.shape, np.int32), [0.0], [(0, 0)])
+    for level in least * LEVEL_RATIO ** np.arange(count - 1, -1, -1):
+        found = _descend(thickness, found, float(level), ratio)
+    return found.labels
 
 
-def _descend(thickness: F32, labels: I32, peaks: list[float], level: float, ratio: float) -> I32:
-    """Labels one level lower; `peaks` gains the thickness of each new core."""
-    count, parts, stats, _ = cv2.connectedComponentsWithStats((thickness > level).astype(np.uint8), connectivity=4)
-    known = labels > 0
-    pairs = np.unique(np.stack([parts[known], labels[known]]), axis=1)
-    into = np.arange(len(peaks))
+@dataclass(frozen=True)
+class Cores:
+    """Cores found so far: labels (h, w), and of each label its greatest thickness [px] and where that is."""
+
+    labels: I32
+    peaks: list[float]
+    places: list[tuple[int, int]]
+
+
+def _descend(thickness: F32, found: Cores, level: float, ratio: float) -> Cores:
+    """The cores one level lower: new ones appear, known ones grow, thin ones join the thicker they meet."""
+    count, found_parts = cv2.connectedComponents((thickness > level).astype(np.uint8), connectivity=4)
+    parts = np.asarray(found_parts, dtype=np.int32)
+    peaks, places = list(found.peaks), list(found.places)
+    members: list[list[int]] = [[] for _ in range(count)]
+    for label in np.unique(found.labels[tuple(np.array(places).T)]):
+        if label:
+            members[parts[places[label]]].append(int(label))
+    into = np.arange(len(peaks), dtype=np.int32)
     fill = np.zeros(count, np.int32)
+    if not all(members[1:]):
+        tops = ndimage.maximum_position(thickness, parts, np.arange(1, count))
     for part in range(1, count):
-        members = pairs[1, pairs[0] == part]
-        if not len(members):
-            x, y, w, h = stats[part, :4]
-            inside = parts[y : y + h, x : x + w] == part
-            peaks.append(float(thickness[y : y + h, x : x + w][inside].max()))
+        if not members[part]:
+            place = int(tops[part - 1][0]), int(tops[part - 1][1])
+            peaks.append(float(thickness[place]))
+            places.append(place)
             fill[part] = len(peaks) - 1
             continue
-        thickest = max(members, key=lambda m: peaks[m])
-        thin = [m for m in members if peaks[m] * ratio <= level and m != thickest]
+        thickest = max(members[part], key=lambda m: peaks[m])
+        thin = [m for m in members[part] if peaks[m] * ratio <= level and m != thickest]
         into[thin] = thickest
-        if len(thin) == len(members) - 1:
+        if len(thin) == len(members[part]) - 1:
             fill[part] = thickest
-    kept = into[labels]
-    return np.where(fill[parts] > 0, fill[parts], kept).astype(np.int32)
+    grown = fill[parts]
+    return Cores(np.where(grown > 0, grown, into[found.labels]), peaks, places)
 
 
 def long_parts(barrier: Mask, length: float) -> Mask:
