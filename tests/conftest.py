@@ -46,7 +46,8 @@ def score_tool(shared_data: Path) -> ModuleType:
 def small_spec(lumps: int) -> synth.SceneSpec:
     spec = synth.sample_spec(7, "paper", "VGA")
     camera = replace(spec.camera, pitch=float(np.radians(75.0)), height=0.85)
-    return replace(spec, lumps=lumps, camera=camera, supersampling=1)
+    sensor = synth.Sensor(gain=(1.0, 1.02), full_well=3900.0)
+    return replace(spec, lumps=lumps, camera=camera, sensor=sensor, supersampling=1)
 
 
 @pytest.fixture(scope="session")

@@ -62,7 +62,7 @@ def _harden(spec: SceneSpec, rng: np.random.Generator) -> SceneSpec:
         dark = replace(spec.sensor, full_well=float(rng.uniform(300, 900)), exposure=0.6)
         return replace(spec, sensor=dark)
     if kind == 1:
-        return replace(spec, haze_per_m=float(rng.uniform(0.06, 0.2)))
+        return replace(spec, haze_per_m=float(rng.uniform(0.06, 0.15)))
     x, y = rng.uniform(-3, 3, 2)
     lamp = Light(_times(WARM, 1.1), position=(float(x), float(y), 3.4), radius=0.5)
     return replace(spec, wet=1.0, lights=(lamp,), sky=SHADE)
@@ -78,7 +78,7 @@ def _camera(rng: np.random.Generator, height: tuple[float, float], wander: float
 
 
 def _sensor(rng: np.random.Generator) -> Sensor:
-    full_well = float(np.exp(rng.uniform(np.log(1000), np.log(5000))))
+    full_well = float(np.exp(rng.uniform(np.log(700), np.log(3500))))
     gain, contrast = float(rng.choice([1.0, 0.985, 1.02])), float(rng.choice([1.0, 1.0, 0.75]))
     return Sensor(gain=(1.0, gain), contrast=contrast, full_well=full_well)
 
