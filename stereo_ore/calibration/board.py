@@ -192,7 +192,7 @@ def draw_coverage(result: BoardResult, path: Path) -> None:
             for x, y in view.corners[eye].px + np.array([eye * width, 0]):
                 cv2.circle(canvas, (round(x), round(y)), max(2, width // 320), colour, -1, cv2.LINE_AA)
     cv2.line(canvas, (width, 0), (width, height), (0, 0, 0), 2)
-    cv2.imwrite(str(path), canvas)
+    path.write_bytes(cv2.imencode(".png", canvas)[1].tobytes())
 
 
 def report(result: BoardResult) -> str:

@@ -70,4 +70,4 @@ def draw(result: CheckResult, left: U8, path: Path) -> None:
             1,
             cv2.LINE_AA,
         )
-    cv2.imwrite(str(path), canvas)
+    path.write_bytes(cv2.imencode(".png", canvas)[1].tobytes())

@@ -37,7 +37,7 @@ class Board:
         if self.marker_m is not None and not 0 < self.marker_m < self.square_m:
             problem = f"a marker of {self.marker_m} m does not fit into a square of {self.square_m} m"
             raise CalibrationError(problem, key="board.marker_m")
-        if not hasattr(cv2.aruco, self.dictionary):
+        if not (self.dictionary.startswith("DICT_") and hasattr(cv2.aruco, self.dictionary)):
             raise CalibrationError(f"{self.dictionary!r} is no dictionary of cv2.aruco", key="board.dictionary")
 
     @property

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from stereo_ore.cli.calibrate.options import CalibFile, Eyes, Images, Size, Unit, load_any, parse_size, write
+from stereo_ore.cli.calibrate.options import CalibFile, Eyes, Images, Size, Unit, load_any, parse_size, writing
 
 log = logging.getLogger(__name__)
 
@@ -29,6 +29,7 @@ def import_(
     """
     from dataclasses import replace
 
+    from stereo_ore.calibration import save
     from stereo_ore.calibration.convert import convert_zed
 
     calibration = load_any(file, images, size, unit, eyes)
@@ -36,7 +37,8 @@ def import_(
         calibration = convert_zed(calibration, parse_size(to))
     if name is not None:
         calibration = replace(calibration, camera=name)
-    write(calibration, out)
+    with writing(out):
+        save(calibration, out)
     typer.echo(out)
 
 
@@ -57,5 +59,6 @@ def show(
     calibration = load_any(file, images, size, unit, eyes)
     typer.echo(describe(calibration))
     if picture is not None:
-        draw(calibration, picture)
+        with writing(picture):
+            draw(calibration, picture)
         log.info("wrote %s", picture)

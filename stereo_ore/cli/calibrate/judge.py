@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from stereo_ore.cli.calibrate.options import UNITS_M, Eyes, Images, Unit, two_numbers
+from stereo_ore.cli.calibrate.options import UNITS_M, Eyes, Images, Unit, two_numbers, writing
 from stereo_ore.errors import CalibrationError, SourceError
 
 if TYPE_CHECKING:
@@ -48,7 +49,8 @@ def check(
     result = check_pair(pair, calibration, points)
     typer.echo(report(result))
     if picture is not None:
-        draw(result, rectify(pair, make_rectifier(calibration)).left, picture)
+        with writing(picture):
+            draw(result, rectify(pair, make_rectifier(calibration)).left, picture)
     if result.verdict in ("wrong", "unclear"):
         raise typer.Exit(EXIT_QUALITY)
 
@@ -60,6 +62,6 @@ def _known(text: str) -> Known:
         u, v, distance = (float(part) for part in text.split(","))
     except ValueError:
         raise CalibrationError(f"{text!r} is not U,V,METRES", key="--known") from None
-    if not distance > 0:
-        raise CalibrationError(f"the distance must be positive, not {distance:g}", key="--known")
+    if not (distance > 0 and isfinite(u + v + distance)):
+        raise CalibrationError(f"{text!r}: the distance must be positive, all finite", key="--known")
     return Known(u, v, distance)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from stereo_ore.cli.calibrate.options import Size, load_any, two_numbers, write
-from stereo_ore.errors import CalibrationError, FrameError, OutputError
+from stereo_ore.cli.calibrate.options import Size, load_any, two_numbers, writing
+from stereo_ore.errors import CalibrationError, FrameError
 
 if TYPE_CHECKING:
     from stereo_ore.calibration.board import BoardView
@@ -38,15 +38,18 @@ def stereo(
     """
     from dataclasses import replace
 
+    from stereo_ore.calibration import save
     from stereo_ore.calibration.board import calibrate_stereo, draw_coverage, report
 
     target = _board(board, square_mm, marker_mm, dictionary)
     views, size = _views(source, target)
     result = calibrate_stereo(views, target, size, int(coefficients))
     typer.echo(report(result))
-    write(replace(result.calibration, camera=name or source.name), out)
+    with writing(out):
+        save(replace(result.calibration, camera=name or source.name), out)
     if picture is not None:
-        draw_coverage(result, picture)
+        with writing(picture):
+            draw_coverage(result, picture)
 
 
 def hand_eye(
@@ -162,7 +165,5 @@ def _write_site(result: HandEyeResult, out: Path, base: Path | None) -> None:
         rms_mm=round(result.rms_mm, 3),
         max_mm=round(result.max_mm, 3),
     )
-    try:
+    with writing(out):
         save_arm(result.T_arm_camera, record, out, base)
-    except OSError as fault:
-        raise OutputError(f"can't be written: {fault.strerror}", file=out) from None

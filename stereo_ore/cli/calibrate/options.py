@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -49,11 +51,10 @@ def two_numbers(text: str, separator: str, option: str) -> tuple[int, int]:
     return first, second
 
 
-def write(calibration: StereoCalibration, out: Path) -> None:
-    """Write a native YAML; a folder that is not there or not writable is an error in one line."""
-    from stereo_ore.calibration import save
-
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Name the file when it can't be written: its folder is not there, or not ours."""
     try:
-        save(calibration, out)
+        yield
     except OSError as fault:
-        raise OutputError(f"can't be written: {fault.strerror}", file=out) from None
+        raise OutputError(f"can't be written: {fault.strerror or fault}", file=path) from None
