@@ -223,6 +223,8 @@ def test_truncated_file(suffix: str, share: float, tmp_path: Path, capfd: pytest
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".tif"])
 def test_damage_in_the_middle_is_seen(suffix: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    if suffix == ".tif" and int(cv2.__version__.split(".")[0]) < 5:
+        pytest.skip("OpenCV 4 keeps libtiff's complaints to itself")
     noise = np.random.default_rng(1).integers(0, 256, (400, 640, 3), dtype=np.uint8)
     path = save(tmp_path / f"image{suffix}", cv2.GaussianBlur(noise, (0, 0), 2))
     damaged(path, 0.5, 400)

@@ -16,7 +16,7 @@ _lock = threading.Lock()
 def overheard(action: Callable[[], Value]) -> tuple[Value, bytes]:
     """The result of `action` and what was written to standard error meanwhile, which stays silent.
 
-    libjpeg and libtiff have no other way to say that the picture they return is damaged.
+    libjpeg and libtiff have no other way to say that the picture they return is damaged (libtiff from OpenCV 5 on).
     """
     with _lock, tempfile.TemporaryFile() as ear:
         sys.stderr.flush()
