@@ -134,6 +134,18 @@ def test_flat_grey_gives_no_confident_surface() -> None:
     assert disparity.cues["valid_share"].mean() < textured.cues["valid_share"].mean()
 
 
+def test_a_saturated_highlight_has_no_disparity() -> None:
+    truth = np.full((200, 300), 20.0)
+    rig = replace(RIG, width=300, height=200)
+    pair = pair_of(truth, rig)
+    left, right = pair.left.copy(), pair.right.copy()
+    left[80:130, 150:200] = 255
+    right[80:130, 130:180] = 255
+    values = matching.match(RectifiedPair(left, right, rig), whole(rig), CONFIG).values
+    assert not np.isfinite(values[86:124, 156:194]).any()
+    assert np.isfinite(values[20:70, 100:250]).all()
+
+
 def test_every_cue_is_a_finite_image_and_tells_noise_from_surface(flat_plane_pair) -> None:
     pair = flat_plane_pair.pair
     spoilt = pair.right.copy()

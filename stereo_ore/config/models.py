@@ -36,7 +36,12 @@ class MatchingConfig(StageConfig):
     lr_max_diff: float = param(1.0, "left-right difference above which a disparity is dropped", "px", gt=0)
     speckle_size: int = param(40, "connected disparities fewer than this are dropped (0: off)", "px", ge=0)
     speckle_range: float = param(1.0, "step that separates them", "px", gt=0)
-    wls: bool = param(False, "smooth with the weighted least squares filter of ximgproc")
+    min_texture: float = param(
+        0.2,
+        "horizontal gradient (RMS in 5 px) below which a pixel is flat or saturated, and has no disparity",
+        "grey levels a px",
+        ge=0,
+    )
     sigma_px: float = param(0.15, "standard deviation of a disparity, for depth noise", "px", gt=0)
 
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from stereo_ore.config import MatchingConfig
-from stereo_ore.matching import sgbm
+from stereo_ore.matching import sgbm, windows
 from stereo_ore.matching.bands import in_bands
 from stereo_ore.matching.sgbm import Crop
 from stereo_ore.types import F32, I16, Mask
@@ -25,19 +25,20 @@ def match_both(images: Crop, config: MatchingConfig) -> tuple[I16, F32, Mask]:
     difference : (h, w) float32
         Left-right difference [px]; NaN where either is missing.
     valid : (h, w) bool
-        Consistent, seen by both eyes, and not a speckle.
+        Consistent, textured, seen by both eyes, and not a speckle.
     """
     left, right = sgbm.match_left(images, config), sgbm.match_right(images, config)
-    difference = np.empty(left.shape, np.float32)
+    inner, difference = images.inner, np.empty(left.shape, np.float32)
     agreed = np.empty(left.shape, np.int16)
 
     def compare(rows: slice, core: slice, band: slice) -> None:
         found = left_right_difference(images.columns, left, right, rows)
-        same = (found <= config.lr_max_diff) & has_counterpart(images, left[rows])
+        textured = windows.texture(windows.horizontal_gradient(inner[rows])) >= config.min_texture
+        same = (found <= config.lr_max_diff) & has_counterpart(images, left[rows]) & textured
         difference[band] = found[core]
         agreed[band] = vouch(np.where(same, left[rows], np.int16(sgbm.NONE)), left[rows], config.lr_max_diff)[core]
 
-    in_bands(len(left), RIM_PX // 2, compare)
+    in_bands(len(left), RIM_PX // 2 + windows.TEXTURE_PX // 2, compare)
     return left, difference, sgbm.drop_speckles(agreed, config.speckle_size, config.speckle_range)
 
 

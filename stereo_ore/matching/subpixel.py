@@ -64,7 +64,7 @@ def refine(images: Crop, filled: F32, valid: Mask, brightness: np.float32) -> Re
     start = windows.smooth(filled, valid, BEFORE_PX, BEFORE_STEP_PX)
     left = images.inner.astype(np.float32)
     residual = (left - brightness * warp(images, start)) * valid
-    gradient = np.asarray(cv2.Sobel(left, cv2.CV_32F, 1, 0, ksize=1, scale=0.5), np.float32)
+    gradient = windows.horizontal_gradient(left)
     used = gradient * valid
     slope = windows.mean(used * residual, PATCH_PX)
     energy = windows.mean(used * used, PATCH_PX)
