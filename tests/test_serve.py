@@ -1,5 +1,6 @@
 """The verb `serve`: the whole chain behind it, the camera, what it refuses."""
 
+import contextlib
 import json
 import os
 import signal
@@ -7,6 +8,7 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
@@ -15,7 +17,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from live import ListSink, lines_of, names_in, running, wait_for
+from live import ListSink, free_port, lines_of, names_in, running, wait_for
 from typer.testing import CliRunner
 
 from stereo_ore.cli import app, load_verbs
@@ -224,9 +226,70 @@ def test_an_output_folder_of_another_run_is_refused(synth_folder, tmp_path):
     assert "--overwrite" in str(result.exception)
 
 
-@pytest.mark.skipif(not hasattr(os, "geteuid"), reason="POSIX only")
 def test_help_names_every_consumer():
     result = invoke("--help")
     assert result.exit_code == 0
     for option in ("--watch", "--camera", "--opcua", "--mqtt", "--tcp", "--page", "--valid-for"):
         assert option in result.output
+
+
+@pytest.mark.parametrize(("option", "module", "extra"), [("--opcua", "asyncua", "opcua"), ("--mqtt", "paho", "mqtt")])
+def test_a_missing_extra_is_named(synth_folder, tmp_path, monkeypatch, option, module, extra):
+    for name in [name for name in sys.modules if name.partition(".")[0] == module]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, module, None)
+    calib, out = synth_folder / "calibration.yaml", tmp_path / "out"
+    result = invoke(synth_folder, "--calib", calib, "--out", out, option, 4840)
+    assert f'pip install "stereo-ore[{extra}]"' in str(result.exception)
+    assert not out.exists()
+
+
+class Endless:
+    """Frames as fast as they are taken."""
+
+    name = "endless"
+
+    def frames(self, start: Position, stop: threading.Event) -> Iterator[LiveFrame]:
+        index = start.index
+        while not stop.is_set():
+            yield LiveFrame(f"{index:06d}", index, time.time_ns(), (), lambda: None)
+            index += 1
+
+    def state(self) -> str:
+        return "endless"
+
+
+def read_all(consumer: socket.socket) -> None:
+    with contextlib.suppress(OSError):
+        while consumer.recv(1 << 16):
+            pass
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="needs /proc")
+def test_20_000_frames_leave_memory_and_handles_flat(tmp_path):
+    def used() -> tuple[float, int]:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        return pages * os.sysconf("SC_PAGE_SIZE") / 1e6, len(list(Path("/proc/self/fd").iterdir()))
+
+    pytest.importorskip("asyncua", reason="asyncua is not installed")
+    from stereo_ore.sinks.opcua import OpcUaSink
+    from stereo_ore.sinks.tcp import TcpSink
+
+    sinks = [OpcUaSink("127.0.0.1", free_port()), TcpSink("127.0.0.1", 0)]
+    with running(Endless(), tmp_path / "out", sinks) as (status, _, _):
+
+        def done() -> int:
+            return sum(status.json()["frames"].values())
+
+        with socket.create_connection(("127.0.0.1", sinks[1].port)) as consumer:
+            drain = threading.Thread(target=read_all, args=(consumer,))
+            drain.start()
+            wait_for(lambda: done() > 2000, 120)
+            memory, handles = used()
+            wait_for(lambda: done() > 20_000, 300)
+            memory_after, handles_after = used()
+            consumer.shutdown(socket.SHUT_RDWR)
+            drain.join()
+    assert memory_after < 1.1 * memory
+    assert handles_after <= handles

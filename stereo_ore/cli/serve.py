@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 SinksFile = Annotated[Path | None, typer.Option("--sinks", help="File of consumers: addresses, certificates, users.")]
-OpcUaPort = Annotated[int | None, typer.Option("--opcua", min=0, max=65535, help="Serve OPC UA on this loopback port.")]
-MqttPort = Annotated[int | None, typer.Option("--mqtt", min=0, max=65535, help="Port of a broker on this machine.")]
+OpcUaPort = Annotated[int | None, typer.Option("--opcua", min=1, max=65535, help="Serve OPC UA on this loopback port.")]
+MqttPort = Annotated[int | None, typer.Option("--mqtt", min=1, max=65535, help="Port of a broker on this machine.")]
 TcpPort = Annotated[int | None, typer.Option("--tcp", min=0, max=65535, help="Serve JSON lines on this loopback port.")]
 ValidFor = Annotated[
     float, typer.Option("--valid-for", min=0.1, max=60, help="Seconds for which a frame's targets hold.")

@@ -17,7 +17,7 @@ from stereo_ore.sinks.base import TargetSink
 from stereo_ore.yaml_io import load_yaml, read_text
 
 LOOPBACK = "127.0.0.1"
-Port = Annotated[int, Field(ge=0, le=65535)]
+Port = Annotated[int, Field(ge=1, le=65535)]
 
 
 class _Section(BaseModel):
@@ -49,7 +49,7 @@ class TcpSettings(_Section):
     """JSON lines; they are neither encrypted nor guarded, so they never leave this machine."""
 
     host: str = LOOPBACK
-    port: Port = 5020
+    port: Annotated[int, Field(ge=0, le=65535)] = 5020
 
 
 class SinksSettings(_Section):
