@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stereo_ore import cloud_io
-from stereo_ore.errors import MissingExtraError
+from stereo_ore.errors import MissingExtraError, OutputError
 from stereo_ore.results import Json, Results
 from stereo_ore.sinks.atomic import guarded
 
@@ -46,8 +48,16 @@ def save_view(results: Results, path: Path) -> Path:
 
 
 def open_view(results: Results) -> None:
-    """Show the run in rerun's own window, which stays open."""
+    """Show the run in rerun's own window, which stays open.
+
+    Raises
+    ------
+    MissingExtraError, OutputError
+        Without the rerun-sdk package, or without a display.
+    """
     records = results.records
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise OutputError("there is no display", remedy="Give --save FILE.rrd, and open that where there is one")
     stream = _stream()
     stream.spawn(default_blueprint=_blueprint())
     _log(stream, results, records)

@@ -1,7 +1,10 @@
 """Folders and image files: every layout the design names, every pixel format, every way a file can be broken."""
 
+import os
 import pickle
 import struct
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,6 +18,7 @@ from stereo_ore.errors import FrameError, SourceError
 from stereo_ore.sources import open_source, open_two_files
 from stereo_ore.sources.images import read_image
 from stereo_ore.sources.names import frame_names, name_stamp, natural_key, split_name, stamp_name
+from stereo_ore.sources.quiet import overheard
 from stereo_ore.types import U8
 
 WIDTH, HEIGHT = 32, 20
@@ -231,6 +235,25 @@ def test_damage_in_the_middle_is_seen(suffix: str, tmp_path: Path, capfd: pytest
     with pytest.raises(FrameError, match="can't be decoded"):
         read_image(path)
     assert capfd.readouterr().err == ""
+
+
+def test_what_others_write_to_stderr_is_passed_on_and_is_no_damage(capfd: pytest.CaptureFixture[str]) -> None:
+    def decode() -> int:
+        os.write(2, b"error of another thread: premature\nCorrupt JPEG data: 7 extraneous bytes\n")
+        return 7
+
+    assert overheard(decode) == (7, b"Corrupt JPEG data: 7 extraneous bytes\n")
+    assert capfd.readouterr().err == "error of another thread: premature\n"
+
+
+def test_a_service_without_standard_error(tmp_path: Path) -> None:
+    path = save(tmp_path / "image.png", picture(0, "left"))
+    code = (
+        "import os; os.close(2)\nfrom pathlib import Path\nfrom stereo_ore.sources.images import read_image\n"
+        f"print(read_image(Path({str(path)!r})).shape)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, timeout=60)
+    assert done.stdout == f"({HEIGHT}, {WIDTH}, 3)\n"
 
 
 @pytest.mark.parametrize(

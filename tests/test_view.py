@@ -74,6 +74,13 @@ def test_bad_places(tmp_path: Path) -> None:
         save_view(Results(make_run(tmp_path / "run")), tmp_path / "file" / "x.rrd")
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a window always opens")
+def test_no_display_says_what_to_do(tmp_path: Path) -> None:
+    done = run("stereo-ore", "view", make_run(tmp_path / "run"))
+    assert done.returncode == 1
+    assert done.stderr == "error: there is no display. Give --save FILE.rrd, and open that where there is one\n"
+
+
 def test_missing_extra_is_one_line(tmp_path: Path) -> None:
     folder = make_run(tmp_path / "run")
     code = (

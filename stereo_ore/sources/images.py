@@ -17,7 +17,7 @@ from stereo_ore.types import U8
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 MAX_PIXELS = 100_000_000
 _END_MARKS = {b"\x89PNG": b"IEND", b"\xff\xd8": b"\xff\xd9"}
-_DAMAGE = re.compile(rb"error|corrupt|premature|invalid", re.IGNORECASE)
+_DAMAGE = re.compile(rb"Corrupt JPEG|Premature end of JPEG|Inconsistent progression|libpng error|TIFF_Error")
 
 
 def is_image(path: Path) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 import tempfile
 import threading
@@ -10,17 +11,24 @@ from collections.abc import Callable
 from typing import TypeVar
 
 Value = TypeVar("Value")
+
+_DECODER = re.compile(rb"libpng|JPEG|TIFF|OpenCV|grfmt_|loadsave|bitstrm|cap_\w+\.cpp|@ 0x[0-9a-f]+\]|packet of size")
 _lock = threading.Lock()
 
 
 def overheard(action: Callable[[], Value]) -> tuple[Value, bytes]:
-    """The result of `action` and what was written to standard error meanwhile, which stays silent.
+    """The result of `action` and what decoders wrote to standard error meanwhile, which stays silent.
 
     libjpeg and libtiff have no other way to say that the picture they return is damaged (libtiff from OpenCV 5 on).
+    Lines that another thread wrote in that time are passed on.
     """
     with _lock, tempfile.TemporaryFile() as ear:
-        sys.stderr.flush()
-        kept = os.dup(2)
+        try:
+            kept = os.dup(2)
+        except OSError:  # a service without standard error: nothing to silence, nothing to hear
+            return action(), b""
+        if sys.stderr:
+            sys.stderr.flush()
         try:
             os.dup2(ear.fileno(), 2)
             result = action()
@@ -28,4 +36,7 @@ def overheard(action: Callable[[], Value]) -> tuple[Value, bytes]:
             os.dup2(kept, 2)
             os.close(kept)
         ear.seek(0)
-        return result, ear.read()
+        lines = ear.readlines()
+    if others := [line for line in lines if not _DECODER.search(line) and line.strip()]:
+        os.write(2, b"".join(others))
+    return result, b"".join(line for line in lines if _DECODER.search(line))
