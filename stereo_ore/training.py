@@ -10,7 +10,7 @@ import numpy.typing as npt
 from stereo_ore import filters
 from stereo_ore.bench.labelled import DIRECTIONS, LabelledCloud, bare_cloud, made_stereo, paper_clouds
 from stereo_ore.config.filters import AdaptiveParams
-from stereo_ore.filters.evidence import SURFACE_FEATURES, Evidence, features, gather
+from stereo_ore.filters.evidence import Evidence, features, gather
 from stereo_ore.filters.scorer import Network, Scorer
 from stereo_ore.synth import paper_cloud
 from stereo_ore.types import F32, Mask
@@ -18,7 +18,7 @@ from stereo_ore.types import F32, Mask
 PASSES = {"geometry": 3, "stereo": 2}
 """A third pass adds 0.3 points of F1 on stereo clouds, which are large."""
 
-HIDDEN = 20
+HIDDEN = 24
 SAMPLE = {"geometry": 5000, "stereo": 25_000}
 """Points of each cloud that a network learns from."""
 
@@ -83,7 +83,7 @@ def train(clouds: Sequence[LabelledCloud], kind: str, seed: int = 0) -> Scorer:
         examples = np.concatenate([f[rows] for f, rows in zip(seen, chosen, strict=True)])
         networks.append(_fit(examples, truth, seed))
         noise = [networks[-1].probability(f) for f in seen]
-    return Scorer([*evidence[0].names, *SURFACE_FEATURES], networks)
+    return Scorer(list(evidence[0].names), networks)
 
 
 def _prepare(labelled: LabelledCloud) -> tuple[Evidence, Mask]:

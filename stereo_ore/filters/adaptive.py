@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stereo_ore.config.filters import AdaptiveParams
-from stereo_ore.filters.evidence import SURFACE_FEATURES, Evidence, features, gather, has_cues
+from stereo_ore.filters.evidence import Evidence, features, gather, has_cues
 from stereo_ore.filters.scorer import Scorer, load
 from stereo_ore.types import F32, FilterResult, VoxelCloud
 
@@ -26,7 +26,7 @@ def adaptive(voxels: VoxelCloud, params: AdaptiveParams) -> FilterResult:
 
 def run_passes(evidence: Evidence, scorer: Scorer) -> F32:
     """Noise probability (M,) after all passes of a scorer."""
-    if tuple(scorer.features) != (*evidence.names, *SURFACE_FEATURES):
+    if tuple(scorer.features) != evidence.names:
         raise ValueError("the scorer was trained on other features than the evidence has")
     noise = evidence.prior
     for network in scorer.passes:

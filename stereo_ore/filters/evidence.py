@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stereo_ore.filters import wide
 from stereo_ore.filters.neighbours import Neighbours, map_rows, search
-from stereo_ore.filters.surface import LEAST, fit_planes, votes
+from stereo_ore.filters.surface import LEAST, fit_planes, log_odds, votes
 from stereo_ore.types import CUES, F32, I32, VoxelCloud
 
 DENSITY_FEATURES = (
@@ -26,13 +27,17 @@ DISPARITY_STRETCH = 0.3
 
 @dataclass(frozen=True)
 class Evidence:
-    """Points in spacings (M, 3), neighbours (M, k), features (M, F) and a first noise probability (M,)."""
+    """Points in spacings (M, 3), neighbours (M, k), features (M, F) and a first noise probability (M,).
+
+    `names` are those of all features of a pass; `surroundings` are there for stereo clouds.
+    """
 
     points: F32
     index: I32
     features: F32
     names: tuple[str, ...]
     prior: F32
+    surroundings: wide.Surroundings | None = None
 
 
 def has_cues(voxels: VoxelCloud) -> bool:
@@ -56,10 +61,11 @@ def gather(voxels: VoxelCloud, k: int) -> Evidence:
     spacing, features = _density(neighbours)
     names: tuple[str, ...] = DENSITY_FEATURES
     if stereo:
-        features, names = np.column_stack([features, _cues(voxels)]), names + CUE_FEATURES
+        features, names = np.column_stack([features, _cues(voxels)]), names + CUE_FEATURES + wide.FEATURES
     prior = 1 - np.minimum(1, np.exp(-3 * features[:, 1]))
     centred = ((space - np.median(space, axis=0)) / spacing).astype(np.float32)
-    return Evidence(centred, neighbours.index, features, names, prior)
+    around = wide.survey(centred) if stereo else None
+    return Evidence(centred, neighbours.index, features, (*names, *SURFACE_FEATURES), prior, around)
 
 
 def image_space(voxels: VoxelCloud) -> F32:
@@ -102,10 +108,12 @@ def _cues(voxels: VoxelCloud) -> F32:
 
 
 def features(evidence: Evidence, noise: F32) -> F32:
-    """All features (M, F + 12) of the pass that follows the noise probabilities `noise` (M,)."""
-    weight = 1 - noise
-    planes = fit_planes(evidence.points, evidence.index, weight)
-    support = votes(evidence.points, evidence.index, weight, planes)
-    odds = np.log((noise + np.float32(1e-3)) / (weight + np.float32(1e-3)))
-    around = map_rows(lambda rows: odds[evidence.index[rows]].mean(1), len(odds))
-    return np.column_stack([evidence.features, planes.shape, support, odds, around])
+    """All features (M, len(names)) of the pass that follows the noise probabilities `noise` (M,)."""
+    points, index, weight = evidence.points, evidence.index, 1 - noise
+    parts = [evidence.features]
+    if evidence.surroundings is not None:
+        parts.append(wide.features(points, evidence.surroundings, noise))
+    planes = fit_planes(points, index, weight, points)
+    odds = log_odds(noise)
+    around = map_rows(lambda rows: odds[index[rows]].mean(1), len(odds))
+    return np.column_stack([*parts, planes.shape, votes(points, index, weight, planes, points), odds, around])

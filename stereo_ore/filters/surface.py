@@ -13,8 +13,8 @@ import numpy as np
 from stereo_ore.filters.neighbours import map_rows
 from stereo_ore.types import F32, F64, I32
 
-NEAR, FAR = 0.3, 0.8
-"""Distances from a plane [spacings] at which a neighbour's vote has fallen to half: strict and lenient."""
+SCALES = (0.3, 0.8)
+"""Distances from a plane [spacings] at which a neighbour's vote has fallen to half: strict (near) and lenient (far)."""
 
 LEAST = 0.02
 """Added before a logarithm: a fiftieth of the spacing is as good as zero."""
@@ -32,8 +32,12 @@ class Planes:
     height: F32
     shape: F32
 
+    def take(self, rows: I32) -> Planes:
+        """The planes of some points."""
+        return Planes(self.normal[rows], self.height[rows], self.shape[rows])
 
-def fit_planes(x: F32, index: I32, weight: F32) -> Planes:
+
+def fit_planes(x: F32, index: I32, weight: F32, at: F32) -> Planes:
     """Total least-squares plane through each point's weighted neighbours.
 
     With offsets q_j = x_j − x_i and weights w_j: centre c = Σ w q / Σ w, covariance C = Σ w q qᵀ / Σ w − c cᵀ, normal n
@@ -41,14 +45,16 @@ def fit_planes(x: F32, index: I32, weight: F32) -> Planes:
 
     Parameters
     ----------
-    x : (M, 3) array
-        Points [spacings].
+    x : (N, 3) array
+        Points to fit to [spacings].
     index : (M, k) array
-        Neighbours.
-    weight : (M,) array
+        Neighbours of each of `at`, rows of `x`.
+    weight : (N,) array
         How much each point is trusted as a piece of surface, 0…1.
+    at : (M, 3) array
+        Points whose surroundings are wanted.
     """
-    packed = map_rows(lambda rows: _fit_rows(x, index[rows], x[rows], weight), len(x))
+    packed = map_rows(lambda rows: _fit_rows(x, index[rows], at[rows], weight), len(at))
     return Planes(packed[:, :3], packed[:, 3], packed[:, 4:])
 
 
@@ -109,22 +115,28 @@ def _null_vector(a: F64, b: F64, c: F64, d: F64, e: F64, f: F64) -> F64:
     return np.asarray(vector / np.where(length == 0, 1, length)[:, None])
 
 
-def votes(x: F32, index: I32, weight: F32, planes: Planes) -> F32:
-    """How well a point lies on the planes of its neighbours, (M, 3) logarithms.
+def votes(x: F32, index: I32, weight: F32, planes: Planes, at: F32, scales: tuple[float, float] = SCALES) -> F32:
+    """How well points `at` lie on the planes of their neighbours `x`, (M, 3) logarithms.
 
-    With r_j = |n_j·(x_i − x_j) − h_j|: Σ w_j / (1 + (r_j/NEAR)²), the same with FAR, and Σ w_j r_j / Σ w_j.
+    With r_j = |n_j·(x_i − x_j) − h_j|: Σ w_j / (1 + (r_j/s)²) for either scale s, and Σ w_j r_j / Σ w_j.
     On an edge the planes of its own side speak for a point, where one plane through both sides would not.
     """
     table = np.column_stack([planes.normal, planes.height, weight]).astype(np.float32)
-    return map_rows(lambda rows: _vote_rows(x, index[rows], x[rows], table), len(x))
+    return map_rows(lambda rows: _vote_rows(x, index[rows], at[rows], table, scales), len(at))
 
 
-def _vote_rows(x: F32, index: I32, own: F32, table: F32) -> F32:
+def _vote_rows(x: F32, index: I32, own: F32, table: F32, scales: tuple[float, float]) -> F32:
     nx, ny, nz, height, w = (table[:, column][index] for column in range(5))
     r = nx * (own[:, 0, None] - x[:, 0][index])
     r += ny * (own[:, 1, None] - x[:, 1][index])
     r += nz * (own[:, 2, None] - x[:, 2][index])
     r = np.abs(r - height)
-    near, far = ((w / (1 + (r / np.float32(scale)) ** 2)).sum(1) for scale in (NEAR, FAR))
+    near, far = ((w / (1 + (r / np.float32(scale)) ** 2)).sum(1) for scale in scales)
     mean = (w * r).sum(1) / (w.sum(1) + np.float32(1e-3))
     return np.log(np.column_stack([near, far, mean]) + np.float32(LEAST)).astype(np.float32)
+
+
+def log_odds(noise: F32) -> F32:
+    """log(p / (1 − p)) of probabilities (M,), bounded at about ±7."""
+    floor = np.float32(1e-3)
+    return np.asarray(np.log((noise + floor) / (1 - noise + floor)), np.float32)
