@@ -244,6 +244,14 @@ def test_given_topics(tmp_path: Path) -> None:
         open_source(path, BagOptions(("/a/image", "/c/image")))
 
 
+def test_topics_on_the_command_line_come_in_pairs(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "bag", "mcap", shots(1))
+    command = ["stereo-ore", "run", str(path), "--left-topic", TOPICS[0], "--out", str(tmp_path / "out")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2
+    assert "give both --left-topic and --right-topic, or neither" in " ".join(done.stderr.replace("│", " ").split())
+
+
 def test_where_ros_puts_things() -> None:
     assert camera_info_topic("/zed/left/image_rect_color/compressed") == "/zed/left/camera_info"
     assert is_rectified("/rectifier/left/image_raw") is False

@@ -157,7 +157,8 @@ class RunFolder:
         return self._trim()
 
     def _remove_results(self) -> None:
-        for name in (*LINES, *(f"{name}.part" for name in LINES), "ores.csv"):
+        derived = ("ores.csv", "report.html", "calibration_check.json")
+        for name in (*LINES, *(f"{name}.part" for name in LINES), *derived):
             (self.folder / name).unlink(missing_ok=True)
         for child in ("clouds", "overlays", "stages"):
             for file in (self.folder / child).glob("*"):
