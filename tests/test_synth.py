@@ -80,6 +80,26 @@ def test_a_lump_falls_onto_the_floor_and_is_supported() -> None:
     assert not placing.supported(rock, field, R, t + np.array([0, 0, 0.05]))
 
 
+def test_lumps_sink_neither_into_bars_nor_into_each_other() -> None:
+    made = screen.Screen(0.25, 0.08, 0.16, (2.06, 2.0), 0.1, 1, 1.0)
+    steel = mesh.merge([screen.bars(made), screen.frame(made)])
+    field = placing.HeightField.over((1.15, 1.1), 0.008)
+    field.add(steel)
+    rng = np.random.default_rng(3)
+    stones = [rocks.rock(rng, shape, 0.45, 4) for shape in ("block", "slab", "chunk", "long", "chunk")]
+    poses = placing.pile(stones, field, (0.6, 0.6), rng, sink_m=-0.08)
+    bodies = [steel] + [stones[k].moved(R, t) for k, R, t in poses]
+    assert len(bodies) > 3
+    for i, body in enumerate(bodies[1:], 1):
+        others = mesh.merge(bodies[:i])
+        up = np.concatenate([body.vertices, np.tile([0.0, 0.0, 1.0], (len(body.vertices), 1))], 1)
+        down = np.concatenate([body.vertices, np.tile([0.0, 0.0, -1.0], (len(body.vertices), 1))], 1)
+        above, below = (mesh.cast(mesh.ray_caster(others), rays) for rays in (up, down))
+        # A vertex inside a body leaves it through a face that points along the ray.
+        inside = (above["primitive_normals"][:, 2] > 0) & np.isfinite(above["t_hit"]) & np.isfinite(below["t_hit"])
+        assert above["t_hit"][inside].max(initial=0) < 0.015 * 0.45
+
+
 # --- camera -----------------------------------------------------------------------------------------------------------
 
 
@@ -290,11 +310,11 @@ def test_the_scoring_tool_reads_a_scene_folder(
 
 def test_the_command_makes_scenes(tmp_path: Path) -> None:
     cli.load_verbs()
-    arguments = ["synth", str(tmp_path), "--family", "empty", "--size", "VGA", "--seed", "2"]
+    arguments = ["synth", str(tmp_path), "--family", "paper", "--lumps", "0", "--size", "VGA", "--seed", "2"]
     done = CliRunner().invoke(cli.app, arguments)
     assert done.exit_code == 0, done.output
-    assert done.stdout.split() == [str(tmp_path / "empty_0002")]
-    assert json.loads((tmp_path / "empty_0002" / "gt.json").read_text())["n_lumps"] == 0
+    assert done.stdout.split() == [str(tmp_path / "paper_0002")]
+    assert json.loads((tmp_path / "paper_0002" / "gt.json").read_text())["n_lumps"] == 0
 
 
 def test_the_command_names_a_bad_family(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -25,6 +26,9 @@ def synth(
     count: Annotated[int, typer.Option(min=1, help="How many scenes.")] = 1,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the first scene; each next one counts up.")] = 0,
     size: Annotated[str, typer.Option(help="VGA, HD720, HD1080 or 2K.")] = "HD720",
+    lumps: Annotated[
+        int | None, typer.Option(min=0, max=40, help="Lumps to drop, instead of as many as the seed says.")
+    ] = None,
 ) -> None:
     """Make stereo pairs of ore on a grizzly with exact depth, outlines, volumes and centres of mass.
 
@@ -40,6 +44,8 @@ def synth(
 
     families = family or ["large"]
     specs = [made.sample_spec(seed + k, families[k % len(families)], size) for k in range(count)]
+    if lumps is not None:
+        specs = [replace(spec, lumps=lumps) for spec in specs]
     shown = sys.stderr.isatty() and log.isEnabledFor(logging.INFO)
     for spec in track(specs, "scenes", console=Console(stderr=True), disable=not shown):
         typer.echo(made.write(made.scene(spec), out / spec.name))
