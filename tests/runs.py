@@ -97,3 +97,24 @@ def make_frame(folder: Path, frame: str, seed: int, stages: bool) -> None:
             disparity=disparity, voxel_xyz=xyz, keep=keep, ore_map=np.ones((90, 160), np.int16),
             score=np.where(keep, 0.1, 0.9).astype(np.float32), ore_id=np.zeros(600, np.int32),
         )  # fmt: skip
+
+
+def quarter_scene(folder: Path) -> list[str]:
+    """The demo scene at a quarter of its size in `folder`; arguments of `run` that give calibration and site."""
+    scene = ROOT / "data" / "paper_03"
+    folder.mkdir(parents=True, exist_ok=True)
+    for eye in ("left", "right"):
+        image = cv2.imread(str(scene / f"{eye}.png"))
+        small = cv2.resize(image, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
+        cv2.imwrite(str(folder / f"{eye}.png"), small)
+    text = (scene / "calibration.yaml").read_text()
+    for full, quarter in (
+        ("[1280, 720]", "[320, 180]"),
+        ("[529.6, 529.3]", "[132.4, 132.325]"),
+        ("[642.3, 361.7]", "[160.5, 90.3]"),
+    ):
+        assert full in text
+        text = text.replace(full, quarter)
+    (folder / "calibration.yaml").write_text(text)
+    shutil.copy(scene / "site.yaml", folder)
+    return ["--calib", str(folder / "calibration.yaml"), "--site", str(folder / "site.yaml")]

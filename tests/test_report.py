@@ -14,7 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from runs import cloud, make_run, ore, record, write_lines
+from runs import cloud, make_run, ore, quarter_scene, record, write_lines
 
 from stereo_ore import cloud_io
 from stereo_ore.errors import MissingExtraError, SourceError
@@ -210,6 +210,25 @@ def test_what_is_no_run(content: str, message: str, tmp_path: Path) -> None:
 def test_command(folder: Path) -> None:
     done = subprocess.run(["stereo-ore", "report", folder], capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stdout.strip()) == (0, str(folder / "report.html"))
+
+
+def test_run_checks_the_calibration_and_writes_the_report_unless_told_not_to(tmp_path: Path) -> None:
+    files, out = quarter_scene(tmp_path / "scene"), tmp_path / "out"
+
+    def run(*more: str) -> None:
+        command = ["stereo-ore", "run", str(tmp_path / "scene"), *files, "--out", str(out), *more]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+        assert done.returncode == 0, done.stderr
+
+    run()
+    data = Page(out / "report.html").data
+    assert data["run"]["finished"] is True
+    assert data["check"]["verdict"] in ("good", "unclear", "suspect")
+    assert data["check"]["frame"] == "scene"
+    assert data["details"]["0"]["points"]["count"] > 100
+    run("--overwrite", "--no-report")
+    assert not (out / "report.html").exists()
+    assert not (out / "calibration_check.json").exists()
 
 
 def test_no_heavy_package_is_imported(folder: Path) -> None:

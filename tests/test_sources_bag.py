@@ -3,7 +3,6 @@
 import contextlib
 import json
 import pickle
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -15,6 +14,7 @@ import pytest
 from bags import KINDS, TOPICS, Camera, Shot, write_bag
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from runs import quarter_scene
 
 from stereo_ore.errors import CalibrationError, FrameError, SourceError
 from stereo_ore.sources import BagOptions, open_source, ros_messages
@@ -23,7 +23,6 @@ from stereo_ore.sources.topics import camera_info_topic, choose_topics, is_recti
 
 pytest.importorskip("rosbags", reason="the extra [bags] is not installed")
 
-ROOT = Path(__file__).parents[1]
 START = 1_700_000_000_000_000_000
 PERIOD = 66_666_667
 WIDTH, HEIGHT = 32, 20
@@ -351,8 +350,8 @@ def forms(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     The MCAP carries the calibration that the others are given.
     """
     folder = tmp_path_factory.mktemp("forms")
-    pair = [cv2.imread(str(ROOT / "data" / "paper_03" / f"{eye}.png")) for eye in ("left", "right")]
-    pair = [cv2.resize(image, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA) for image in pair]
+    quarter_scene(folder / "scene")
+    pair = [cv2.imread(str(folder / "scene" / f"{eye}.png")) for eye in ("left", "right")]
     messages = []
     for n in range(20):
         stamp = START + n * PERIOD
@@ -369,22 +368,9 @@ def forms(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return {name: folder / name for name in ("png", "side", "mcap", "sqlite3")}
 
 
-def quarter(tmp_path: Path) -> list[object]:
-    text = (ROOT / "data" / "paper_03" / "calibration.yaml").read_text()
-    for full, small in (
-        ("[1280, 720]", "[320, 180]"),
-        ("[529.6, 529.3]", "[132.4, 132.325]"),
-        ("[642.3, 361.7]", "[160.5, 90.3]"),
-    ):
-        text = text.replace(full, small)
-    (tmp_path / "calibration.yaml").write_text(text)
-    shutil.copy(ROOT / "data" / "paper_03" / "site.yaml", tmp_path)
-    return ["--calib", tmp_path / "calibration.yaml", "--site", tmp_path / "site.yaml"]
-
-
 @pytest.mark.slow
 def test_twenty_frames_give_identical_records_from_every_lossless_form(forms: dict[str, Path], tmp_path: Path) -> None:
-    files = quarter(tmp_path)
+    files = quarter_scene(tmp_path / "scene")
     results = {}
     for name, recording in forms.items():
         calib, site = files[:2], files[2:]
