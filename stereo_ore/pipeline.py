@@ -9,7 +9,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from stereo_ore import cloud, filters, grizzly, matching, order, rectify, segment, solid, strike, voxels
+from stereo_ore import cloud, empty_screen, filters, grizzly, matching, order, rectify, segment, solid, strike, voxels
 from stereo_ore.config import Config
 from stereo_ore.errors import FrameError
 from stereo_ore.sources import Source
@@ -42,6 +42,7 @@ class Context:
     config: Config
     rectifier: rectify.Rectifier
     region: Region
+    empty: empty_screen.EmptyScreen | None = None
 
 
 def make_context(calibration: StereoCalibration, site: Site, config: Config) -> Context:
@@ -55,7 +56,8 @@ def make_context(calibration: StereoCalibration, site: Site, config: Config) -> 
     rectifier = rectify.make_rectifier(calibration)
     region = matching.find_region(rectifier.rig, site.volume, config.matching)
     filters.parameters(config.filter)
-    return Context(calibration, site, config, rectifier, region)
+    empty = empty_screen.load(rectifier.rig, region, site, config)
+    return Context(calibration, site, config, rectifier, region, empty)
 
 
 def process_frame(source: Source, index: int, context: Context) -> FrameResult:
@@ -106,6 +108,8 @@ def _match(result: FrameResult, context: Context) -> FrameResult:
     pair, config = _have(result.pair), context.config.matching
     region = matching.narrow(pair, context.region, context.site.volume, config)
     disparity = matching.match(pair, region, config)
+    if context.empty is not None:
+        matching.background.compare(context.empty.background, disparity)
     valid = int(np.isfinite(disparity.values).sum())
     result = _count(replace(result, disparity=disparity), pixels=disparity.values.size, disparities=valid)
     share = valid / max((region.x1 - region.x0) * (region.y1 - region.y0), 1)
@@ -143,12 +147,16 @@ def _filter(result: FrameResult, context: Context) -> FrameResult:
 
 
 def _grizzly(result: FrameResult, context: Context) -> FrameResult:
+    if context.empty is not None:
+        return replace(result, grizzly=context.empty.grizzly)
     found = grizzly.find(_have(result.surface), context.site, context.config.grizzly)
     return replace(result, grizzly=found)
 
 
 def _segment(result: FrameResult, context: Context) -> FrameResult:
     surface, screen = _have(result.surface), _have(result.grizzly)
+    if context.empty is not None:
+        surface = empty_screen.new_on(context.empty, _have(result.disparity), surface)
     ore_map = segment.segment(surface, screen, context.site.volume, context.config.segment)
     return _count(replace(result, ore_map=ore_map), ores=int(ore_map.labels.max(initial=0)))
 

@@ -55,13 +55,16 @@ def _median(stack: F32) -> F32:
     return np.where(2 * count > len(stack), middle, np.float32(np.nan))
 
 
-def nearer(background: Background, disparity: Disparity) -> Mask:
-    """True where something stands before the empty screen, (H, W).
+def shows_screen(background: Background, disparity: Disparity) -> Mask:
+    """True where a frame shows the empty screen, or what lies behind it, (H, W).
 
-    A pixel where the empty screen could not be measured says nothing and is False.
+    A pixel that was not measured, now or on the empty screen, says nothing and is False.
     """
-    least = np.maximum(np.float32(NEARER_SIGMA) * background.sigma, np.float32(NEARER_PX))
-    return np.asarray(disparity.values - background.disparity > least)
+    return np.asarray(disparity.values - background.disparity <= _tolerance(background))
+
+
+def _tolerance(background: Background) -> F32:
+    return np.asarray(np.maximum(np.float32(NEARER_SIGMA) * background.sigma, np.float32(NEARER_PX)), np.float32)
 
 
 def compare(background: Background, disparity: Disparity) -> float:
@@ -74,16 +77,10 @@ def compare(background: Background, disparity: Disparity) -> float:
     FrameError
         When the camera or the screen has moved since.
     """
-    if background.disparity.shape != disparity.values.shape:
-        (h0, w0), (h1, w1) = background.disparity.shape, disparity.values.shape
-        raise ConfigError(
-            f"the empty screen is {w0}×{h0} px, the images are {w1}×{h1} px",
-            key="background",
-            remedy="Calibrate the background at this resolution",
-        )
+    check_size(background, *disparity.values.shape)
     shift = disparity.values - background.disparity
     both = np.isfinite(shift)
-    tolerance = np.maximum(np.float32(NEARER_SIGMA) * background.sigma, np.float32(NEARER_PX))
+    tolerance = _tolerance(background)
     unchanged, farther = both & (np.abs(shift) <= tolerance), both & (shift < -tolerance)
     moved = float(np.median(shift[both])) if both.any() else float("nan")
     modelled = np.isfinite(background.disparity[disparity.region.slices]).sum()
@@ -95,6 +92,23 @@ def compare(background: Background, disparity: Disparity) -> float:
             remedy="Calibrate the background again: camera or screen has moved",
         )
     return moved
+
+
+def check_size(background: Background, height: int, width: int) -> None:
+    """Refuse a model of another image size.
+
+    Raises
+    ------
+    ConfigError
+        Naming both sizes.
+    """
+    h, w = background.disparity.shape
+    if (h, w) != (height, width):
+        raise ConfigError(
+            f"the empty screen is {w}×{h} px, the images are {width}×{height} px",
+            key="background",
+            remedy="Calibrate the background at this resolution",
+        )
 
 
 def _slid(shift: F32, unchanged: Mask) -> bool:

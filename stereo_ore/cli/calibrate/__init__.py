@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from stereo_ore.cli.calibrate import files, judge, make
+from stereo_ore.cli.calibrate import background, files, judge, make
 
 
 def register(app: typer.Typer) -> None:
@@ -15,4 +15,5 @@ def register(app: typer.Typer) -> None:
     group.command()(make.stereo)
     group.command("hand-eye")(make.hand_eye)
     group.command()(judge.check)
+    group.command()(background.background)
     app.add_typer(group, name="calibrate")
