@@ -96,8 +96,8 @@ class SegmentConfig(StageConfig):
     relief_weight: float = param(6.7, "grey levels that a standard deviation of relief is worth in the outline", gt=0)
     band: float = param(0.2, "band on either side of an outline within which the image may move it, in openings", gt=0)
     opening_px: float = param(48.0, "size of the opening in the image at which lumps are told apart", "px", ge=8)
-    merge_probability: float = param(0.5, "neighbours more likely one lump than this are joined", gt=0, lt=1)
-    lump_probability: float = param(0.5, "parts less likely a lump than this are dropped, and counted", ge=0, lt=1)
+    merge_probability: float = param(0.4, "neighbours more likely one lump than this are joined", gt=0, lt=1)
+    lump_probability: float = param(0.55, "parts less likely a lump than this are dropped, and counted", ge=0, lt=1)
     default_opening_m: float = param(0.3, "scale of the lumps when no opening is known", "m", gt=0)
 
 

@@ -17,9 +17,11 @@ COARSE, FINE = 60, 13
 BINS, FINE_BINS = 400, 4000
 """Bins across the screen, and PHASES across one pitch."""
 PHASES = 60
-SEARCHED = 2000
+SEARCHED = 3000
 """Points that directions are tried on."""
 MIN_BARS, MAX_BARS = 3, 40
+AROUND = 0.1
+"""Margin kept around what one sees through, of its extent."""
 LEAST_SEEN = 8
 """Points that a bar or a gap must have to be judged."""
 MIN_DUTY, MAX_DUTY = 0.08, 0.6
@@ -59,6 +61,7 @@ def fit_bars(sample: Sample, plane: Plane, opening_m: float | None, bar_width_m:
         Known clear distance and bar width [m]; both together fix the pitch and the width.
     """
     q, signal, axes = _rays_in_plane(sample, plane)
+    q, signal = _around_open(q, signal)
     if len(q) < PHASES or signal.min() > 0 or signal.max() < 0:
         return BarFit(None, 0.0)
     angle = _direction(q, signal)
@@ -100,6 +103,17 @@ def _rays_in_plane(sample: Sample, plane: Plane) -> tuple[F64, F64, F64]:
     return hit @ axes.T, signal, axes
 
 
+def _around_open(q: F64, signal: F64) -> tuple[F64, F64]:
+    """The rays where one sees through the plane and a little around: bars are there, a floor goes on for ever."""
+    through = q[signal < 0]
+    if not len(through):
+        return q, signal
+    low, high = np.percentile(through, (1, 99), axis=0)
+    margin = AROUND * (high - low)
+    near = ((q > low - margin) & (q < high + margin)).all(1)
+    return q[near], signal[near]
+
+
 def _wrap(value: F64, period: float) -> F64:
     """Value folded into −period/2 … period/2."""
     return np.asarray(value - period * np.round(value / period))
@@ -116,13 +130,15 @@ def _explained(group: np.ndarray, signal: F64) -> float:
 
 def _direction(q: F64, signal: F64) -> float:
     """Angle of the bars in the plane [rad]: the signal summed along them varies most across them."""
-    every = max(1, len(q) // SEARCHED)
-    q, signal = q[::every], signal[::every]
+    if len(q) > SEARCHED:
+        # Not every n-th: the sample is a grid, and bars along its columns would be missed or hit all at once.
+        some = np.random.default_rng(0).choice(len(q), SEARCHED, replace=False)
+        q, signal = q[some], signal[some]
 
     def contrast(angle: float) -> float:
         position = q @ np.array([-np.sin(angle), np.cos(angle)])
         low, high = position.min(), position.max()
-        return _explained(((position - low) / max(high - low, 1e-9) * (BINS // 2)).astype(np.intp), signal)
+        return _explained(((position - low) / max(high - low, 1e-9) * (BINS // 3)).astype(np.intp), signal)
 
     best, span = 0.0, np.pi / 2
     for count in (COARSE, FINE, FINE):

@@ -1,0 +1,187 @@
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from screens import OPENING, RIG, WIDTH, Screen, draw
+
+from stereo_ore import grizzly, segment, synth
+from stereo_ore.config import GrizzlyConfig, SegmentConfig
+from stereo_ore.segment.relief import fill_occlusions
+from stereo_ore.segment.split import cores, valley_depth
+from stereo_ore.types import Grizzly, OreMap, Rig, Site, Surface
+
+CONFIG = SegmentConfig()
+APART = ((-0.3, -0.2, 0.05, 0.11), (0.25, -0.25, 0.06, 0.12), (0.0, 0.3, 0.04, 0.1))
+HEAP = ((-0.13, 0.0, 0.05, 0.14), (0.13, 0.0, 0.05, 0.14), (0.0, 0.02, 0.22, 0.1))
+
+
+def screen_of(screen: Screen, surface: Surface) -> Grizzly:
+    site = Site(plane=screen.plane, opening_m=OPENING, bar_width_m=WIDTH)
+    return grizzly.find(surface, site, GrizzlyConfig())
+
+
+def segmented(screen: Screen, config: SegmentConfig = CONFIG) -> tuple[OreMap, np.ndarray]:
+    surface, labels = draw(screen)
+    return segment.segment(surface, screen_of(screen, surface), None, config), labels
+
+
+def overlaps(found: np.ndarray, truth: np.ndarray) -> list[float]:
+    """Best intersection over union of each true lump."""
+    out = []
+    for lump in range(1, truth.max() + 1):
+        mine = truth == lump
+        ids = [i for i in np.unique(found[mine]) if i]
+        out.append(max(((found == i) & mine).sum() / ((found == i) | mine).sum() for i in ids) if ids else 0.0)
+    return out
+
+
+@given(st.floats(-0.3, 0.3), st.floats(0, np.pi), st.integers(0, 100), st.sampled_from([0.05, 0.15]))
+@settings(max_examples=12, deadline=None)
+def test_outlines_of_lumps_that_lie_apart(tilt, yaw, seed, noise):
+    ores, truth = segmented(Screen(tilt=tilt, yaw=yaw, lumps=APART, half=0.6, noise_px=noise, seed=seed))
+    assert ores.labels.max() == 3
+    assert min(overlaps(ores.labels, truth)) > 0.85
+
+
+@pytest.mark.parametrize("noise", [0.05, 0.15])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_heap_is_split_into_its_lumps(noise, seed):
+    ores, truth = segmented(Screen(tilt=0.1, lumps=HEAP, half=0.6, noise_px=noise, seed=seed))
+    assert ores.labels.max() == 3
+    assert min(overlaps(ores.labels, truth)) > 0.7
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("frame", [0.0, 0.03])
+def test_an_empty_screen_has_no_ore(seed, frame):
+    screen = Screen(tilt=0.1, yaw=0.2 * seed, half=0.5, rim=0.08, frame_height=frame, noise_px=0.2, seed=seed)
+    assert segmented(screen)[0].labels.max() == 0
+
+
+def test_numbers_lumps_from_the_top_and_gives_the_full_image():
+    ores, _ = segmented(Screen(lumps=APART, half=0.6))
+    assert ores.labels.shape == (RIG.height, RIG.width)
+    assert ores.labels.dtype == np.int16
+    assert sorted(np.unique(ores.labels)) == [0, 1, 2, 3]
+    tops = [np.nonzero(ores.labels == i)[0].min() for i in (1, 2, 3)]
+    assert tops == sorted(tops)
+    assert not ores.cut
+
+
+def test_names_the_lumps_that_the_image_border_cuts():
+    ores, truth = segmented(Screen(lumps=((0.97, 0.0, 0.05, 0.15), *APART), half=1.2))
+    cut = {int(i) for i in np.unique(ores.labels[truth == 1]) if i}
+    assert cut
+    assert ores.cut == cut
+
+
+def test_small_lumps_are_dropped_and_counted():
+    ores, _ = segmented(Screen(lumps=APART, half=0.6), replace_config(min_size_m=0.5))
+    assert ores.labels.max() == 0
+    assert ores.diagnostics["dropped_small"] == 3
+
+
+def replace_config(**values: float) -> SegmentConfig:
+    return SegmentConfig(**values)
+
+
+def test_holes_in_a_lump_are_filled():
+    screen = Screen(lumps=APART, half=0.6)
+    surface, truth = draw(screen)
+    y, x = (int(np.mean(side)) for side in np.nonzero(truth == 1))
+    surface.xyz[y - 5 : y + 5, x - 5 : x + 5] = np.nan
+    ores = segment.segment(surface, screen_of(screen, surface), None, CONFIG)
+    assert (ores.labels[y - 5 : y + 5, x - 5 : x + 5] > 0).all()
+    assert min(overlaps(ores.labels, truth)) > 0.85
+
+
+def test_each_lump_is_in_one_piece_without_holes():
+    ores, _ = segmented(Screen(tilt=0.2, lumps=(*HEAP, *APART), half=0.6, noise_px=0.2))
+    for i in range(1, ores.labels.max() + 1):
+        mine = (ores.labels == i).astype(np.uint8)
+        assert cv2.connectedComponents(mine, connectivity=8)[0] == 2
+
+
+def test_a_surface_without_points_has_no_ore():
+    surface, _ = draw(Screen())
+    screen = screen_of(Screen(), surface)
+    surface.xyz[:] = np.nan
+    ores = segment.segment(surface, screen, None, CONFIG)
+    assert ores.labels.shape == (RIG.height, RIG.width)
+    assert ores.labels.max() == 0
+
+
+def test_works_without_bars_and_opening():
+    screen = Screen(lumps=APART, half=0.6)
+    surface, truth = draw(screen)
+    ores = segment.segment(surface, Grizzly(screen.plane, "site"), None, CONFIG)
+    assert min(overlaps(ores.labels, truth)) > 0.6
+
+
+def test_a_crop_is_laid_where_it_was_cut_out():
+    screen = Screen(lumps=APART, half=0.6)
+    surface, _ = draw(screen)
+    whole = segment.segment(surface, screen_of(screen, surface), None, CONFIG).labels
+    part = np.s_[20:, 30:]
+    cropped = Surface(surface.xyz[part].copy(), surface.bgr[part].copy(), surface.sigma_z[part].copy(), 30, 20, RIG)
+    labels = segment.segment(cropped, screen_of(screen, surface), None, CONFIG).labels
+    assert ((labels > 0) != (whole > 0)).mean() < 0.005
+
+
+def test_same_bits_for_any_number_of_threads_and_nothing_changed():
+    screen = Screen(tilt=0.1, lumps=HEAP, half=0.6, noise_px=0.15)
+    surface, _ = draw(screen)
+    before = surface.xyz.copy(), surface.bgr.copy()
+    found, threads = [], cv2.getNumThreads()
+    for number in (1, 4):
+        cv2.setNumThreads(number)
+        found.append(segment.segment(surface, screen_of(screen, surface), None, CONFIG).labels)
+    cv2.setNumThreads(threads)
+    np.testing.assert_array_equal(found[0], found[1])
+    np.testing.assert_array_equal(surface.xyz, before[0])
+    np.testing.assert_array_equal(surface.bgr, before[1])
+
+
+def test_the_lumps_of_a_synth_scene(synth_scene: synth.Scene):
+    K, truth = synth_scene.rectified.K, synth_scene.instance
+    height, width = truth.shape
+    rig = Rig(width, height, K[0, 0], K[1, 1], K[0, 2], K[1, 2], synth_scene.rectified.focal_baseline / K[0, 0])
+    v, u = np.mgrid[:height, :width]
+    xyz = rig.back_project(u, v, synth_scene.depth_m).astype(np.float32)
+    xyz[~synth_scene.site.volume.contains(xyz)] = np.nan
+    sigma = rig.depth_sigma(xyz[..., 2], 0.15).astype(np.float32)
+    surface = Surface(xyz, synth_scene.pair.left, sigma, 0, 0, rig)
+    screen = grizzly.find(surface, synth_scene.site, GrizzlyConfig())
+    ores = segment.segment(surface, screen, synth_scene.site.volume, CONFIG)
+    found = overlaps(ores.labels, np.maximum(truth - 1, 0))
+    assert np.mean(np.array(found) > 0.5) >= 0.75
+
+
+def test_a_convex_dome_has_no_valleys_and_two_have_one():
+    y, x = np.mgrid[:60, :120].astype(np.float32)
+    one = 10 - ((x - 60) ** 2 + (y - 30) ** 2) / 200
+    two = np.maximum(10 - ((x - 35) ** 2 + (y - 30) ** 2) / 100, 10 - ((x - 85) ** 2 + (y - 30) ** 2) / 100)
+    inner = np.s_[10:-10, 10:-10]
+    assert valley_depth(one.astype(np.float32), 8)[inner].max() <= 1e-4
+    depth = valley_depth(two.astype(np.float32), 8)[inner]
+    assert np.unravel_index(depth.argmax(), depth.shape)[1] == 50
+    assert depth.max() > 1
+
+
+@pytest.mark.parametrize(("neck", "count"), [(0.95, 1), (0.4, 2)])
+def test_a_neck_parts_cores_only_when_it_is_thin(neck, count):
+    mask = np.zeros((80, 160), np.uint8)
+    cv2.circle(mask, (45, 40), 25, 1, -1)
+    cv2.circle(mask, (115, 40), 25, 1, -1)
+    half = round(25 * neck)
+    mask[40 - half : 40 + half + 1, 45:115] = 1
+    labels = cores(mask > 0, np.zeros(mask.shape, bool), 0.85, 2.0)
+    assert len(np.unique(labels)) - 1 == count
+
+
+def test_half_occlusions_are_filled_from_the_farther_side_and_wide_gaps_are_not():
+    nan = np.nan
+    row = np.array([[1, nan, nan, nan, 5, 5, nan, nan, nan, nan, nan, 5, nan, 1]], np.float32)
+    expected = np.array([[1, 1, 1, 1, 5, 5, nan, nan, nan, nan, nan, 5, 1, 1]], np.float32)
+    np.testing.assert_array_equal(fill_occlusions(row), expected)
