@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -23,6 +24,7 @@ from asyncua import ua
 from asyncua.sync import Client
 
 from stereo_ore.errors import ConfigError, OutputError
+from stereo_ore.sinks import opcua
 from stereo_ore.sinks.message import Origin, notice
 from stereo_ore.sinks.opcua import OpcUaSecurity, OpcUaSink
 from stereo_ore.sinks.opcua_model import NAMESPACE, PAYLOAD, SLOTS
@@ -294,6 +296,20 @@ def test_a_killed_server_is_noticed_by_the_client_within_the_stated_time(tmp_pat
             assert time.time() - killed < 3
             # What the client has read before tells it for how long to believe it.
             assert valid_until < killed + 2.1
+
+
+def test_a_server_that_fails_is_started_again(sink, connection, monkeypatch):
+    monkeypatch.setattr(opcua, "RESTART_S", 0.1)
+    with monkeypatch.context() as broken:
+        broken.setattr(opcua, "PAYLOAD", (*PAYLOAD[:3], replace(PAYLOAD[3], value=lambda _: 1 / 0)))
+        sink.publish(make_message(1))
+        wait_for(lambda: "failed" in sink.state().detail, what="failure")
+        # The client's connection has ended, so that it can't take the half-written message for a whole one.
+        with pytest.raises((ConnectionError, TimeoutError, ua.UaError, OSError)):
+            read(connection, "Targets", "Valid")
+    publish(sink, make_message(2))
+    with Client(sink.url) as again:
+        assert read(again, "Result", "Sequence") == 2
 
 
 def test_a_port_in_use_is_an_error(sink):

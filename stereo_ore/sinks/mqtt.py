@@ -17,7 +17,7 @@ from stereo_ore.sinks.base import Outbox, SinkState
 from stereo_ore.sinks.message import Message, Origin, notice
 
 if TYPE_CHECKING:
-    from paho.mqtt.client import Client
+    from paho.mqtt.client import Client, MQTTMessageInfo
 
 log = logging.getLogger(__name__)
 
@@ -103,8 +103,21 @@ class MqttSink:
         if info.rc != MQTT_ERR_SUCCESS:
             self._connected.clear()
             return False
-        self._sent += 1
-        return True
+        # One at a time: the client's own queue has no bound.
+        written = self._wait_until_written(info)
+        self._sent += written
+        return written
+
+    def _wait_until_written(self, info: MQTTMessageInfo) -> bool:
+        """True once the connection took the message, False when it broke before."""
+        while not self._stopping.is_set():
+            try:
+                info.wait_for_publish(0.2)
+                if info.is_published():
+                    return True
+            except RuntimeError:
+                return False
+        return False
 
     def _on_connect(self, client: Client, userdata: Any, flags: Any, reason: Any, properties: Any) -> None:
         self._detail = str(reason)

@@ -7,6 +7,7 @@ import hmac
 import logging
 import socket
 import threading
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -28,6 +29,7 @@ APPLICATION_URI = "urn:stereo-ore:server"
 PATH = "/stereo-ore"
 HEARTBEAT_S = 0.5
 STARTING_S = 60.0
+RESTART_S = 2.0
 METRE = 5067858
 """UNECE code of the metre, as OPC UA's EUInformation wants it."""
 
@@ -64,7 +66,7 @@ class OpcUaSink:
         self._host, self._port, self._security = host, port, security
         self._outbox = Outbox()
         self._ready = threading.Event()
-        self._fault: BaseException | None = None
+        self._fault: Exception | None = None
         self._sent = 0
         self._acknowledged = (0, 0)
         self._server: Server | None = None
@@ -98,16 +100,23 @@ class OpcUaSink:
         clients = len(binary.clients) if binary else 0
         sequence, target = self._acknowledged
         detail = f"acknowledged: message {sequence}, ore {target}" if sequence else "nothing acknowledged"
+        detail = f"failed: {self._fault}" if self._fault else detail
         return SinkState("OPC UA", self.url, clients > 0, clients, self._sent, self._outbox.dropped, detail)
 
     def _run(self) -> None:
-        try:
-            asyncio.run(self._serve())
-        except Exception as fault:
-            self._fault = fault
-            log.debug("OPC UA server ended", exc_info=True)
-        finally:
-            self._ready.set()
+        """Serve until the outbox is closed; a server that fails after it was up is started again."""
+        while not self._outbox.finished:
+            try:
+                self._fault = None
+                asyncio.run(self._serve())
+            except Exception as fault:
+                self._fault = fault
+                log.debug("OPC UA server", exc_info=True)
+                if not self._ready.is_set():
+                    break
+                log.error("OPC UA server failed, starting again: %s", fault)
+                time.sleep(RESTART_S)
+        self._ready.set()
 
     async def _serve(self) -> None:
         server = await _make_server(self.url, self._security)
@@ -131,7 +140,7 @@ class OpcUaSink:
         now = datetime.now(UTC)
         for variable in PAYLOAD:
             value = _data_value(variable, variable.value(message), now)
-            await server.write_attribute_value(nodes[variable.name].nodeid, value)
+            await _write(server, nodes[variable.name], value)
 
     async def _beat(self, server: Server, nodes: Mapping[str, Node]) -> None:
         """Count the heartbeat up, and look for acknowledgements, as long as the server's loop runs."""
@@ -141,10 +150,18 @@ class OpcUaSink:
         while True:
             count = (count + 1) % 2**32
             value = ua.DataValue(ua.Variant(count, ua.VariantType.UInt32), SourceTimestamp=datetime.now(UTC))
-            await server.write_attribute_value(nodes["Heartbeat"].nodeid, value)
+            await _write(server, nodes["Heartbeat"], value)
             acknowledged = [await nodes[name].read_value() for name in ("AcknowledgedSequence", "AcknowledgedTarget")]
             self._acknowledged = acknowledged[0], acknowledged[1]
             await asyncio.sleep(HEARTBEAT_S)
+
+
+async def _write(server: Server, node: Node, value: ua.DataValue) -> None:
+    """Set a value, or raise: a value left as it was beside new ones would be a torn message."""
+    from asyncua import ua
+
+    status = await server.iserver.aspace.write_attribute_value(node.nodeid, ua.AttributeIds.Value, value)
+    status.check()
 
 
 def _data_value(variable: Variable, value: Any, now: datetime) -> ua.DataValue:
