@@ -36,6 +36,7 @@ def tune(
     train: Annotated[
         str | None, typer.Option(help="geometry or stereo: train adaptive's scorer instead (minutes).")
     ] = None,
+    scene: Annotated[list[Path] | None, typer.Option(help="Scene folder with truth to train on as well.")] = None,
 ) -> None:
     """Find the parameters with the least cost, the weighted mean of 1 − P_r, 1 − Recall and 1 − Retain.
 
@@ -44,7 +45,7 @@ def tune(
     Example: `stereo-ore tune tuned --method paper` then `stereo-ore run … --config tuned/config.yaml`
     """
     if train:
-        _train(out, train, seeds)
+        _train(out, train, seeds, scene or [])
     else:
         _search(out, method, cloud or [], seeds, cost)
 
@@ -72,16 +73,16 @@ def _search(out: Path, method: str, files: list[Path], seeds: int, cost: Path | 
     typer.echo(text, nl=False)
 
 
-def _train(out: Path, kind: str, seeds: int) -> None:
+def _train(out: Path, kind: str, seeds: int, scenes: list[Path]) -> None:
     from stereo_ore import training
-    from stereo_ore.bench.labelled import TUNING_SEED
+    from stereo_ore.bench.labelled import TUNING_SEED, scene_stereo
 
     if kind not in ("geometry", "stereo"):
         raise ConfigError(f"{kind!r} is no scorer", key="--train", remedy="Use geometry or stereo")
     wanted = range(TUNING_SEED, TUNING_SEED + seeds)
     stereo = kind == "stereo"
     source = training.stereo_clouds(wanted) if stereo else training.geometry_clouds(wanted)
-    clouds = list(_watched(source, seeds if stereo else 15 * seeds))
+    clouds = [*map(scene_stereo, scenes), *_watched(source, seeds if stereo else 15 * seeds)]
     scorer = training.train(clouds, kind)
     out.mkdir(parents=True, exist_ok=True)
     path = out / f"{kind}.json"

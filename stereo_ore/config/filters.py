@@ -53,4 +53,6 @@ class AdaptiveParams(StageConfig):
     """Adaptive-K density, residual to the local surface, and the matcher's doubts where it hands them on."""
 
     k: int = param(16, "neighbours", ge=6, le=100)
-    threshold: float = param(0.45, "noise probability above which a point is removed", gt=0, lt=1)
+    threshold: float | None = param(
+        None, "noise probability above which a point is removed; null: the scorer's own", gt=0, lt=1
+    )

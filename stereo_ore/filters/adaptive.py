@@ -13,14 +13,16 @@ from stereo_ore.types import F32, FilterResult, VoxelCloud
 def adaptive(voxels: VoxelCloud, params: AdaptiveParams) -> FilterResult:
     """Remove points whose noise probability is above the threshold; the score is that probability.
 
-    Neighbours are found and densities computed once (`evidence.gather`). Then each pass fits planes to the neighbours,
-    weighted by how likely each is to be surface, asks how well the point lies on its own plane and on those of its
-    neighbours (`surface`), and scores it anew: what the pass before took for noise no longer bends the surface.
+    Neighbours are found and densities computed once (`evidence.gather`); a first pass judges by them and by the cues
+    alone. Each further pass fits planes to the neighbours, weighted by how likely each is to be surface, asks how well
+    the point lies on its own plane and on those of its neighbours (`surface`, and `wide` for stereo clouds), and scores
+    it anew: what the pass before took for noise no longer bends the surface.
     """
     evidence = gather(voxels, params.k)
     name = "stereo" if has_cues(voxels) else "geometry"
-    noise = run_passes(evidence, load(name))
-    threshold = params.threshold
+    scorer = load(name)
+    noise = run_passes(evidence, scorer)
+    threshold = scorer.threshold if params.threshold is None else params.threshold
     return FilterResult(noise <= threshold, noise, {"scorer": name, "threshold": threshold})
 
 
@@ -30,5 +32,6 @@ def run_passes(evidence: Evidence, scorer: Scorer) -> F32:
         raise ValueError("the scorer was trained on other features than the evidence has")
     noise = evidence.prior
     for network in scorer.passes:
-        noise = network.probability(features(evidence, noise))
+        light = network.width == evidence.features.shape[1]
+        noise = network.probability(evidence.features if light else features(evidence, noise))
     return np.asarray(noise, np.float32)

@@ -28,6 +28,11 @@ class Network:
     output_weights: list[float]
     output_bias: float
 
+    @property
+    def width(self) -> int:
+        """Features taken."""
+        return len(self.mean)
+
     def probability(self, features: F32) -> F32:
         """Noise probability (M,) of (M, F) features."""
         scale = 1 / np.array(self.scale, np.float32)
@@ -45,11 +50,14 @@ class Network:
 
 @dataclass(frozen=True)
 class Scorer:
-    """The networks of successive passes, and the names of the features they were trained on."""
+    """The networks of successive passes, and the names of all features; a network may take only the first of them.
+
+    `threshold` is the probability above which a point is called noise unless parameters say otherwise.
+    """
 
     features: list[str]
     passes: list[Network]
-    trained_on: str = ""
+    threshold: float = 0.5
 
     def to_json(self) -> str:
         """Readable text, a row of weights a line."""
@@ -59,7 +67,7 @@ class Scorer:
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> Scorer:
         """The scorer that `to_json` wrote."""
-        return cls(data["features"], [Network(**network) for network in data["passes"]], data.get("trained_on", ""))
+        return cls(data["features"], [Network(**network) for network in data["passes"]], data["threshold"])
 
 
 @cache
