@@ -1,10 +1,13 @@
 """MQTT against a real mosquitto; skipped where it is not installed (Debian: apt-get install mosquitto)."""
 
+import ipaddress
 import json
 import shutil
+import socket
 import subprocess
 import time
 from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +19,13 @@ pytest.importorskip("paho.mqtt.client", reason="paho-mqtt is not installed")
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 
+from stereo_ore.errors import OutputError
 from stereo_ore.sinks import mqtt
-from stereo_ore.sinks.mqtt import MqttSink
+from stereo_ore.sinks.mqtt import MqttLogin, MqttSink
 
 MOSQUITTO = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin")
 TOPIC = "site/targets"
+DAY = timedelta(days=1)
 
 pytestmark = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
 
@@ -37,6 +42,11 @@ class Broker:
     def start(self) -> None:
         command = [str(MOSQUITTO), "-c", str(self.config)]
         self.process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        wait_for(self.listens, what="broker")
+
+    def listens(self) -> bool:
+        with socket.socket() as probe:
+            return probe.connect_ex(("127.0.0.1", self.port)) == 0
 
     def stop(self) -> None:
         if self.process:
@@ -170,3 +180,54 @@ def test_without_a_broker_nothing_is_delayed_and_the_end_comes_soon():
         assert not sink.state().connected
         assert sink.state().dropped >= 1000 - 66
     assert time.monotonic() - start < 8
+
+
+def make_authority(folder: Path) -> tuple[Path, Path]:
+    """A certificate for 127.0.0.1 that vouches for itself, and its key."""
+    pytest.importorskip("cryptography", reason="cryptography is not installed")
+    from cryptography import x509
+    from cryptography.hazmat.primitives import hashes, serialization
+    from cryptography.hazmat.primitives.asymmetric import ec
+
+    key = ec.generate_private_key(ec.SECP256R1())
+    name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "broker")])
+    now = datetime.now(UTC)
+    builder = x509.CertificateBuilder().subject_name(name).issuer_name(name).public_key(key.public_key())
+    builder = builder.serial_number(1).not_valid_before(now - DAY).not_valid_after(now + DAY)
+    address = x509.SubjectAlternativeName([x509.IPAddress(ipaddress.ip_address("127.0.0.1"))])
+    builder = builder.add_extension(address, False).add_extension(x509.BasicConstraints(True, None), True)
+    certificate, secret = folder / "broker.pem", folder / "broker.key"
+    certificate.write_bytes(builder.sign(key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM))
+    form = serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+    secret.write_bytes(key.private_bytes(*form))
+    secret.chmod(0o644)
+    return certificate, secret
+
+
+def test_a_broker_with_tls_and_users(tmp_path):
+    if shutil.which("mosquitto_passwd") is None:
+        pytest.skip("mosquitto_passwd is not installed")
+    certificate, key = make_authority(tmp_path)
+    passwords = tmp_path / "passwords"
+    subprocess.run(["mosquitto_passwd", "-b", "-c", passwords, "arm", "secret"], check=True, capture_output=True)
+    passwords.chmod(0o644)
+    tmp_path.chmod(0o755)
+    broker = Broker(tmp_path)
+    secured = f"user root\nallow_anonymous false\npassword_file {passwords}\ncertfile {certificate}\nkeyfile {key}\n"
+    broker.config.write_text(f"listener {broker.port} 127.0.0.1\n{secured}")
+    broker.start()
+    try:
+        for password, connected in (("secret", True), ("wrong", False)):
+            with MqttSink("127.0.0.1", broker.port, TOPIC, MqttLogin("arm", password, certificate)) as sink:
+                sink.publish(make_message(1))
+                wait_for(lambda sink=sink: sink.state().sent or "Not authorized" in sink.state().detail, what="answer")
+                assert sink.state().connected == connected
+    finally:
+        broker.stop()
+
+
+def test_an_authority_that_is_none_is_an_error(tmp_path):
+    (tmp_path / "ca.pem").write_text("nothing")
+    with pytest.raises(OutputError, match=r"ca\.pem.*no certificate"):
+        MqttSink("127.0.0.1", 1883, TOPIC, MqttLogin("arm", "secret", tmp_path / "ca.pem"))
+    assert "secret" not in repr(MqttLogin("arm", "secret"))

@@ -71,6 +71,7 @@ class MqttSink:
         self._thread.join(CLOSING_S)
         self._stopping.set()
         self._thread.join()
+        self._connected.clear()
         self._client.disconnect()
         self._client.loop_stop()
 
@@ -128,9 +129,10 @@ class MqttSink:
         self._connected.set()
 
     def _on_disconnect(self, client: Client, userdata: Any, flags: Any, reason: Any, properties: Any) -> None:
-        self._connected.clear()
-        self._detail = f"disconnected: {reason}"
-        if not self._stopping.is_set():
+        if self._connected.is_set():
+            # A refused connection ends too, but then the refusal is what the operator needs to read.
+            self._connected.clear()
+            self._detail = f"disconnected: {reason}"
             log.warning("MQTT broker %s:%d: %s; connecting again", self.host, self.port, self._detail)
 
 
