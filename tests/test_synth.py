@@ -1,6 +1,7 @@
 """Made-up measurements: is their truth true, and are they the same every time?"""
 
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -159,9 +160,10 @@ def test_the_right_eye_is_where_the_calibration_says() -> None:
 # --- scenes -----------------------------------------------------------------------------------------------------------
 
 
-def test_the_same_specification_gives_the_same_bytes(
-    synth_scene: synth.Scene, synth_folder: Path, tmp_path: Path
+def test_the_same_specification_gives_the_same_bytes_on_one_core(
+    synth_scene: synth.Scene, synth_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(os, "cpu_count", lambda: 1)
     again = synth.write(synth.scene(synth_scene.spec), tmp_path / synth_folder.name)
     names = sorted(path.name for path in synth_folder.iterdir())
     assert names == [

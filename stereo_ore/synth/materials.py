@@ -10,14 +10,15 @@ from stereo_ore.synth.model import ORES, Model, Part
 from stereo_ore.synth.textures import Texture, dot, make_texture, sample
 from stereo_ore.types import F32
 
-VEIN_RGB = np.array([0.62, 0.60, 0.55], np.float32)
+VEIN_RGB, CRACK_RGB = np.array([[0.62, 0.60, 0.55], [0.06, 0.06, 0.055]], np.float32)
 
 
 @dataclass(frozen=True)
 class Material:
-    """Mean reflectance, its colour at the other end of the tone, contrast of the tone, gloss, and the texture.
+    """Texture, mean reflectance, contrast of its tone, gloss, strength of veins, and the colour of bare patches.
 
-    Reflectance is rgb·exp(contrast·tone), drawn towards `second` where `patch` × tone is high.
+    Reflectance is rgb·exp(contrast·tone). Veins are light where `vein` is positive, dark cracks where it is
+    negative; `second` shows through where the tone is high.
     """
 
     texture: Texture
@@ -56,26 +57,27 @@ def surface(materials: dict[str, Material], part: Part, xyz: F32, normals: F32) 
     material = materials[part.material]
     R = part.R.astype(np.float32)
     q, n = xyz @ R + part.offset.astype(np.float32), normals @ R
-    tone, vein, slope = sample(material.texture, q, n)
-    rgb = np.array(material.rgb, np.float32) * np.exp(material.contrast * np.clip(tone, -3, 2.5))[:, None]
+    rgb, slope = _paint(material, q, n)
     gloss: float | F32 = material.gloss
     if part.material == "steel":
         # Only the worn tops shine; sides rust.
         tops = n[:, 2:] > 0.9
-        rust_rgb, rust_slope = _rust(materials["rust"], q, n)
+        rust_rgb, rust_slope = _paint(materials["rust"], q, n)
         rgb, slope = np.where(tops, rgb, rust_rgb), np.where(tops, slope, rust_slope)
         gloss = np.where(tops, np.float32(material.gloss), np.float32(0.02))
-    if material.vein:
-        mix = np.clip(abs(material.vein) * vein, 0, 1)[:, None]
-        rgb = rgb * (1 - mix) + mix * (VEIN_RGB if material.vein > 0 else 0.1 * VEIN_RGB)
     bent = n - (slope - dot(slope, n) * n)
     bent /= np.sqrt(dot(bent, bent))
-    return rgb.astype(np.float32), np.asarray(bent @ R.T, np.float32), gloss, material.shininess
+    return rgb, np.asarray(bent @ R.T, np.float32), gloss, material.shininess
 
 
-def _rust(material: Material, q: F32, n: F32) -> tuple[F32, F32]:
-    tone, _, slope = sample(material.texture, q, n)
-    mix = (1 / (1 + np.exp(-4 * (tone - 0.7))))[:, None]
-    second = np.array(material.second, np.float32)
-    rgb = np.array(material.rgb, np.float32) * np.exp(material.contrast * tone)[:, None]
-    return (rgb * (1 - mix) + second * mix).astype(np.float32), slope
+def _paint(material: Material, q: F32, n: F32) -> tuple[F32, F32]:
+    """Reflectance and relief slope (N, 3) of a material at points and normals of a body's own frame."""
+    tone, vein, slope = sample(material.texture, q, n)
+    rgb = np.array(material.rgb, np.float32) * np.exp(material.contrast * tone.clip(-3, 2.5))[:, None]
+    if material.second:
+        bare = (1 / (1 + np.exp(-4 * (tone - 0.7))))[:, None]
+        rgb = rgb * (1 - bare) + bare * np.array(material.second, np.float32)
+    if material.vein:
+        mix = (abs(material.vein) * vein).clip(0, 1)[:, None]
+        rgb = rgb * (1 - mix) + mix * (VEIN_RGB if material.vein > 0 else CRACK_RGB)
+    return np.asarray(rgb, np.float32), slope
