@@ -13,7 +13,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from stereo_ore.errors import FrameError
-from stereo_ore.pipeline import Context, process_frame
+from stereo_ore.pipeline import Context, fused_indices, process_frame
 from stereo_ore.record import record, to_line
 from stereo_ore.sinks.frame_files import FrameFiles
 from stereo_ore.sinks.run_folder import FrameLines
@@ -42,7 +42,8 @@ class Job:
         if self.strict and result.status == "failed":
             reason = result.reasons[-1]
             raise FrameError(f"frame {result.name} failed: {reason.detail}", code=reason.code)
-        lines = frame_lines(result, self.context.site, self.source.files(index))
+        indices = fused_indices(self.source, index, self.context)
+        lines = frame_lines(result, self.context.site, [file for i in indices for file in self.source.files(i)])
         self.files.write(result)
         return lines
 

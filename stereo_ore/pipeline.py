@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -14,11 +14,13 @@ from stereo_ore.config import Config
 from stereo_ore.errors import FrameError
 from stereo_ore.sources import Source
 from stereo_ore.types import (
+    Disparity,
     FrameResult,
     Mask,
     Ore,
     OreMap,
     Reason,
+    RectifiedPair,
     Region,
     Site,
     Solid,
@@ -64,16 +66,21 @@ def process_frame(source: Source, index: int, context: Context) -> FrameResult:
     """Read and process frame `index`; what can't be read is a failed frame with a reason, not an exception."""
     start = time.perf_counter()
     try:
-        pair = source.read(index)
+        pair, *more = (source.read(i) for i in fused_indices(source, index, context))
     except FrameError as error:
         return _failed(FrameResult(source.names[index], index, None, "failed", (), dict.fromkeys(COUNTS, 0)), error)
     read_ms = 1000 * (time.perf_counter() - start)
-    result = process(pair, context)
+    result = process(pair, context, more)
     return replace(result, stages_ms={"read": read_ms, **result.stages_ms})
 
 
-def process(pair: StereoPair, context: Context) -> FrameResult:
-    """The whole chain on one pair.
+def fused_indices(source: Source, index: int, context: Context) -> range:
+    """The frames that are measured as one with frame `index`: itself, or as many as `matching.fuse` says."""
+    return range(index, min(index + context.config.matching.fuse, len(source.names)))
+
+
+def process(pair: StereoPair, context: Context, more: Sequence[StereoPair] = ()) -> FrameResult:
+    """The whole chain on one pair, or on one and `more` of the same still scene.
 
     A fault in the frame ends the chain early: the result then holds what was reached, a status other than "ok", and
     the reason.
@@ -81,7 +88,7 @@ def process(pair: StereoPair, context: Context) -> FrameResult:
     result = FrameResult(pair.name, pair.index, pair.stamp_ns, "ok", (), dict.fromkeys(COUNTS, 0))
     steps: tuple[tuple[str, Step], ...] = (
         ("rectify", lambda r: replace(r, pair=rectify.rectify(pair, context.rectifier))),
-        ("match", lambda r: _match(r, context)),
+        ("match", lambda r: _match(r, context, more)),
         ("cloud", lambda r: _cloud(r, context)),
         ("voxels", lambda r: _voxels(r, context)),
         ("filter", lambda r: _filter(r, context)),
@@ -104,10 +111,12 @@ Step = Callable[[FrameResult], FrameResult]
 Value = TypeVar("Value")
 
 
-def _match(result: FrameResult, context: Context) -> FrameResult:
-    pair, config = _have(result.pair), context.config.matching
-    region = matching.narrow(pair, context.region, context.site.volume, config)
-    disparity = matching.match(pair, region, config)
+def _match(result: FrameResult, context: Context, more: Sequence[StereoPair]) -> FrameResult:
+    pairs = [_have(result.pair), *(rectify.rectify(pair, context.rectifier) for pair in more)]
+    disparity, *others = (_match_pair(pair, context) for pair in pairs)
+    if others:
+        disparity = matching.fuse(pairs, [disparity, *others])
+    region = disparity.region
     if context.empty is not None:
         matching.background.compare(context.empty.background, disparity)
     valid = int(np.isfinite(disparity.values).sum())
@@ -119,6 +128,11 @@ def _match(result: FrameResult, context: Context) -> FrameResult:
         )
         result = _degrade(result, Reason("FEW_DISPARITIES", detail))
     return result
+
+
+def _match_pair(pair: RectifiedPair, context: Context) -> Disparity:
+    config = context.config.matching
+    return matching.match(pair, matching.narrow(pair, context.region, context.site.volume, config), config)
 
 
 def _cloud(result: FrameResult, context: Context) -> FrameResult:

@@ -50,7 +50,10 @@ def run(
     save_stages: Annotated[bool, typer.Option("--save-stages", help="Also write stages/<frame>.npz.")] = False,
     start: Annotated[int, typer.Option(min=0, help="First frame, counted from 0.")] = 0,
     stop: Annotated[int | None, typer.Option(min=0, help="Frame to stop before.")] = None,
-    every: Annotated[int, typer.Option(min=1, help="Take each n-th frame.")] = 1,
+    every: Annotated[
+        int | None, typer.Option(min=1, help="Take each n-th frame; 1, or as many as are fused.", show_default=False)
+    ] = None,
+    fuse: Annotated[int | None, typer.Option(min=1, help="Measure so many frames of a still scene as one.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Continue a run that was stopped.")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a different run in --out.")] = False,
     strict: Annotated[bool, typer.Option("--strict", help="Stop at the first frame that fails.")] = False,
@@ -70,8 +73,9 @@ def run(
     recording = _open(source, left, right, (left_topic, right_topic), max_skew_ms)
     calibration = _calibration(recording, calib)
     place = load_site(site) if site else Site()
-    context = pipeline.make_context(calibration, place, load_config(config, settings or ()))
-    indices = range(len(recording.names))[start:stop:every]
+    settings = [*(settings or ()), *([f"matching.fuse={fuse}"] if fuse else [])]
+    context = pipeline.make_context(calibration, place, load_config(config, settings))
+    indices = range(len(recording.names))[start : stop : every or context.config.matching.fuse]
     if not indices:
         raise SourceError(f"has {len(recording.names)} frames, none of them selected", file=recording.path)
     _announce(place, len(indices))
@@ -143,6 +147,7 @@ def _announce(site: Site, frames: int) -> None:
 
 
 def _description(recording: Source, indices: range, context: Context, files: dict[str, Path | None]) -> dict[str, Any]:
+    from stereo_ore import matching
     from stereo_ore.batch import sha256
     from stereo_ore.sinks.run_folder import versions
 
@@ -159,6 +164,7 @@ def _description(recording: Source, indices: range, context: Context, files: dic
             "rectangle_px": [region.x0, region.y0, region.x1, region.y1],
             "min_disparity_px": region.min_disparity,
             "num_disparities": region.num_disparities,
+            "saved_share": matching.search_saved(context.rectifier.rig, region)["saved_share"],
         },
     }
 

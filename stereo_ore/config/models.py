@@ -36,6 +36,7 @@ class MatchingConfig(StageConfig):
     lr_max_diff: float = param(1.0, "left-right difference above which a disparity is dropped", "px", gt=0)
     speckle_size: int = param(40, "connected disparities fewer than this are dropped (0: off)", "px", ge=0)
     speckle_range: float = param(1.0, "step that separates them", "px", gt=0)
+    fuse: int = param(1, "frames of a still scene, from each one on, that are measured as one", ge=1, le=64)
     min_texture: float = param(
         0.2,
         "horizontal gradient (RMS in 5 px) below which a pixel is flat or saturated, and has no disparity",

@@ -76,5 +76,5 @@ def search_saved(rig: Rig, region: Region) -> dict[str, Any]:
         "pixels": pixels,
         "min_disparity": region.min_disparity,
         "num_disparities": region.num_disparities,
-        "saved_share": 1 - pixels * region.num_disparities / whole,
+        "saved_share": max(1 - pixels * region.num_disparities / whole, 0.0),
     }
