@@ -13,6 +13,8 @@ from typing import Any
 
 from stereo_ore.errors import MissingExtraError
 
+SCRIPTS = ("table.js", "cloud.js", "page.js")
+
 
 def render(data: Mapping[str, Any], title: str) -> str:
     """HTML with everything inside."""
@@ -21,7 +23,7 @@ def render(data: Mapping[str, Any], title: str) -> str:
         "style": _part("page.css"),
         "data": _script_json(data),
         "plotly": _plotly(),
-        "script": _part("page.js"),
+        "script": "\n".join(_part(name) for name in SCRIPTS),
     }
     return re.sub(r"\{\{(\w+)\}\}", lambda mark: parts[mark[1]], _part("page.html"))
 
