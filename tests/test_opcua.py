@@ -241,6 +241,8 @@ def test_reading_one_by_one_finds_a_torn_record_out(sink):
         while process.poll() is None and sequence < 5000:
             sequence += 1
             publish(sink, make_message(sequence))
+            # Bursts, in which a record is torn under the reader's hands, and pauses, in which it is whole.
+            time.sleep(0.3 if sequence % 100 == 0 else 0)
         whole, torn_and_found, torn = map(int, process.stdout.read().split())
     assert torn == 0
     assert whole > 0
