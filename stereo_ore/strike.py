@@ -10,7 +10,7 @@ import numpy as np
 from scipy.ndimage import find_objects
 
 from stereo_ore.config.models import StrikeConfig
-from stereo_ore.planes import PlaneField, crop_rig, fit_planes
+from stereo_ore.planes import crop_rig, fit_planes
 from stereo_ore.transforms import apply
 from stereo_ore.types import (
     F64,
@@ -28,7 +28,7 @@ from stereo_ore.types import (
     Surface,
 )
 
-PATCH_PIXELS = 6000
+PATCH_PIXELS = 3000
 """Larger lumps are searched with a stride, for time."""
 NOISE_SPREAD = 2.0
 """How much neighbouring pixels' common errors raise a plane's tilt over that from independent ones."""
@@ -78,57 +78,62 @@ def plans(
 
 @dataclass(frozen=True)
 class Patches:
-    """Planes around the pixels of a lump's crop, points on them, distance to the edge, expected depth noise [m]."""
+    """Planes around a lump's N measured pixels.
 
-    field: PlaneField
+    Point (N, 3) and normal (N, 3); by pixel (N,), in metres, the residual `rms`, the distance to the lump's `edge` and
+    the depth noise `sigma_z`; `share` of the window that was measured.
+    """
+
     xyz: F64
-    seen: Mask
-    edge_m: F64
+    normal: F64
+    rms: F64
+    edge: F64
     sigma_z: F64
+    share: F64
 
 
-def _patches(
-    surface: Surface, labels: I16, box: tuple[slice, ...], number: int, config: StrikeConfig
-) -> Patches | None:
-    stride = max(1, int(np.sqrt((labels[box] == number).sum() / PATCH_PIXELS)))
+def _patches(surface: Surface, labels: I16, box: tuple[slice, ...], number: int, config: StrikeConfig) -> Patches:
+    stride = max(1, round(float(np.sqrt((labels[box] == number).sum() / PATCH_PIXELS))))
     rows, columns = (slice(s.start, s.stop, stride) for s in box)
     lump, z = labels[rows, columns] == number, surface.xyz[rows, columns, 2].astype(np.float64)
     seen = lump & np.isfinite(z)
-    if not seen.any():
-        return None
     rig = crop_rig(surface.rig, surface.x0 + columns.start, surface.y0 + rows.start, stride)
-    sigma_z = surface.sigma_z[rows, columns].astype(np.float64)
-    side = _window(float(np.median(z[seen])), float(np.median(sigma_z[seen])), int(lump.sum()), rig, config)
-    field = fit_planes(z, seen, side, rig)
-    padded = np.pad(lump, 1).astype(np.uint8)
-    edge_px = cv2.distanceTransform(padded, cv2.DIST_L2, 3)[1:-1, 1:-1].astype(np.float64)
-    u, v = np.meshgrid(np.arange(lump.shape[1]), np.arange(lump.shape[0]))
-    return Patches(field, rig.back_project(u, v, field.depth), seen, edge_px * field.depth / rig.fx, sigma_z)
+    sigma_z = surface.sigma_z[rows, columns][seen].astype(np.float64)
+    side = _window(z[seen], sigma_z, int(lump.sum()), rig, config)
+    field = fit_planes(z, seen.astype(np.float64), side, rig)
+    edge_px = cv2.distanceTransform(np.pad(lump, 1).astype(np.uint8), cv2.DIST_L2, 3)[1:-1, 1:-1]
+    v, u = np.nonzero(seen)
+    depth = field.depth[seen]
+    return Patches(
+        rig.back_project(u, v, depth), field.normal[seen], field.rms[seen], edge_px[seen] * depth / rig.fx, sigma_z,
+        field.share[seen],
+    )  # fmt: skip
 
 
-def _window(z_m: float, sigma_z: float, pixels: int, rig: Rig, config: StrikeConfig) -> int:
+def _window(z_m: F64, sigma_z: F64, pixels: int, rig: Rig, config: StrikeConfig) -> int:
     """Odd side [px] of the fitted window: the tool's diameter, or more where noise demands it.
 
     A slope fitted to n × n points of spacing p and noise σ has the standard deviation √12·σ/(n²·p).
     """
-    pixel_m = z_m / rig.fx
-    steady = np.sqrt(np.sqrt(12.0) * NOISE_SPREAD * sigma_z / (NORMAL_SIGMA * pixel_m))
+    if not len(z_m):
+        return 3
+    pixel_m = float(np.median(z_m)) / rig.fx
+    steady = np.sqrt(np.sqrt(12.0) * NOISE_SPREAD * float(np.median(sigma_z)) / (NORMAL_SIGMA * pixel_m))
     side = min(max(config.tool_diameter_m / pixel_m, steady), LARGEST_WINDOW * np.sqrt(pixels))
     return 2 * int(max(side, 3.0) / 2) + 1
 
 
-def _plan(patches: Patches | None, solid: Solid, plane: Plane, site: Site, config: StrikeConfig) -> StrikePlan:
-    if patches is None:
-        return _none("UNCERTAIN_DEPTH")
-    cos = patches.field.normal @ plane.normal
+def _plan(patches: Patches, solid: Solid, plane: Plane, site: Site, config: StrikeConfig) -> StrikePlan:
+    cos = patches.normal @ plane.normal
     passes = _tests(patches, cos, plane, site, config)
-    admissible = patches.seen
+    admissible = np.ones(len(cos), bool)
     for code in CRITERIA:
-        admissible = admissible & passes[code]
+        admissible &= passes[code]
         if not admissible.any():
             return _none(code)
-    score = np.where(admissible, _scores(patches, cos, solid, plane, config), -1.0)
-    return StrikePlan(tuple(_ranked(patches, score, cos, config)))
+    left = Patches(*(value[admissible] for value in vars(patches).values()))
+    score = _scores(left, cos[admissible], solid, plane, config)
+    return StrikePlan(tuple(_ranked(left, score, cos[admissible], config)))
 
 
 def _none(code: str) -> StrikePlan:
@@ -136,13 +141,13 @@ def _none(code: str) -> StrikePlan:
 
 
 def _tests(patches: Patches, cos: F64, plane: Plane, site: Site, config: StrikeConfig) -> dict[str, Mask]:
-    """Which pixels pass each of `CRITERIA`."""
+    """Which pixels (N,) pass each of `CRITERIA`."""
     keep_off = 0.5 * config.tool_diameter_m + config.clearance_m
     above_bars = plane.height(patches.xyz) > config.clearance_m
     return {
-        "UNCERTAIN_DEPTH": patches.field.share > config.min_measured,
-        "NEAR_EDGE": (patches.edge_m >= keep_off) & above_bars,
-        "TOO_SMALL_PATCH": patches.field.rms <= _flat_enough(patches, config),
+        "UNCERTAIN_DEPTH": patches.share > config.min_measured,
+        "NEAR_EDGE": (patches.edge >= keep_off) & above_bars,
+        "TOO_SMALL_PATCH": patches.rms <= _flat_enough(patches, config),
         "TOO_STEEP": cos >= np.cos(config.max_slope_rad),
         "OUT_OF_REACH": _within_reach(patches.xyz, site),
     }
@@ -168,12 +173,12 @@ def _within_reach(xyz: F64, site: Site) -> Mask:
 def _scores(patches: Patches, cos: F64, solid: Solid, plane: Plane, config: StrikeConfig) -> F64:
     """0…1 by slope, lever about the centre of gravity and roughness, each a bell curve of its own width."""
     offset = patches.xyz - solid.centre_of_gravity
-    lever = np.linalg.norm(offset - (offset @ plane.normal)[..., None] * plane.normal, axis=-1)
+    lever = np.sqrt(np.maximum((offset**2).sum(1) - (offset @ plane.normal) ** 2, 0.0))
     slope = np.arccos(np.clip(cos, -1.0, 1.0))
     terms = (
         (slope, config.max_slope_rad),
         (lever, config.lever_share * float(solid.size_m[0])),
-        (patches.field.rms, 2.0 * _flat_enough(patches, config)),
+        (patches.rms, 2.0 * _flat_enough(patches, config)),
     )
     return np.asarray(np.exp(-0.5 * sum((value / width) ** 2 for value, width in terms)))
 
@@ -181,13 +186,11 @@ def _scores(patches: Patches, cos: F64, solid: Solid, plane: Plane, config: Stri
 def _ranked(patches: Patches, score: F64, cos: F64, config: StrikeConfig) -> list[Strike]:
     """The best strike and alternates, each at least a tool's diameter and a half from those before."""
     found: list[Strike] = []
-    score = score.copy()
-    while len(found) <= config.alternates:
-        at = np.unravel_index(int(score.argmax()), score.shape)
-        if score[at] <= 0:
-            break
-        point, slope = patches.xyz[at], float(np.arccos(np.clip(cos[at], -1.0, 1.0)))
-        rms = float(patches.field.rms[at])
-        found.append(Strike(point, -patches.field.normal[at], slope, rms, float(score[at])))
-        score[np.linalg.norm(patches.xyz - point, axis=-1) < 1.5 * config.tool_diameter_m] = -1.0
+    free = np.ones(len(score), bool)
+    while len(found) <= config.alternates and free.any():
+        at = int(np.where(free, score, -1.0).argmax())
+        slope = float(np.arccos(np.clip(cos[at], -1.0, 1.0)))
+        rms = float(patches.rms[at])
+        found.append(Strike(patches.xyz[at], -patches.normal[at], slope, rms, float(score[at])))
+        free &= ((patches.xyz - patches.xyz[at]) ** 2).sum(1) >= (1.5 * config.tool_diameter_m) ** 2
     return found

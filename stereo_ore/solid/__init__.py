@@ -7,7 +7,7 @@ from scipy.ndimage import find_objects
 
 from stereo_ore.config.models import SolidConfig
 from stereo_ore.solid.cues import DIMENSIONS, Cues, gather
-from stereo_ore.solid.measure import smallest_box
+from stereo_ore.solid.measure import longest_calliper
 from stereo_ore.solid.prior import Estimate, load
 from stereo_ore.solid.sight import Sight, look
 from stereo_ore.types import F64, Grizzly, OreMap, Reason, Solid, Surface
@@ -15,7 +15,7 @@ from stereo_ore.types import F64, Grizzly, OreMap, Reason, Solid, Surface
 __all__ = ["METHOD", "solids"]
 
 METHOD = "grounded hull corrected by a shape prior"
-FARTHEST, LARGEST = 0.7, 1.2
+FARTHEST, LARGEST = 1.5, 2.5
 """Bounds of the correction: shift of the centre over the lump's size, logarithm of the volume's ratio."""
 
 
@@ -57,22 +57,22 @@ def solids(surface: Surface, ore_map: OreMap, grizzly: Grizzly, config: SolidCon
 def _solid(sight: Sight, cues: Cues, opening_m: float | None, cut: bool, config: SolidConfig) -> Solid:
     estimate, s = load().estimate(cues.even, cues.odd, cues.doubts), sight.size
     base = cues.body
-    shift = np.array([estimate.mean[axis] for axis in "xyz"]) * s - base.centroid
+    shift = np.array([estimate.mean[axis] for axis in "xyz"]) * s + [0.0, 0.0, cues.support] - base.centroid
     shift *= min(1.0, FARTHEST * s / max(float(np.linalg.norm(shift)), 1e-12))
     ratio = np.clip(estimate.mean["volume"] - np.log(base.volume / s**3), -LARGEST, LARGEST)
     volume = float(np.exp(ratio) * base.volume)
     centre, spread = base.centroid + shift, config.volume_sigmas * estimate.sigma["volume"] * (2.0 if cut else 1.0)
     size = np.sort([s * np.exp(estimate.mean[name]) for name in DIMENSIONS])[::-1]
     vertices = centre + np.exp(ratio / 3) * (base.vertices - base.centroid)
-    box_centre, axes, _ = smallest_box(base)
+    box_length = float(cues.box.extent[0] * size[0] / longest_calliper(base.vertices))
     return Solid(
         centre_of_gravity=sight.to_camera(centre),
         sigma_m=_sigma(sight, estimate, cut, config),
         volume_m3=volume,
         volume_bounds_m3=(float(volume * np.exp(-spread)), float(volume * np.exp(spread))),
-        box_centre=sight.to_camera(centre + np.exp(ratio / 3) * (box_centre - base.centroid)),
-        axes=axes @ sight.axes,
-        extent_m=np.array([max(size[1], size[0] * np.exp(-cues.diagonal)), size[1], size[2]]),
+        box_centre=sight.to_camera(centre + np.exp(ratio / 3) * (cues.box.centre - base.centroid)),
+        axes=cues.box.axes @ sight.axes,
+        extent_m=np.array([max(size[1], box_length), size[1], size[2]]),
         size_m=size,
         method=METHOD,
         vertices=sight.to_camera(vertices).astype(np.float32),

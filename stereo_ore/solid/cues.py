@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from stereo_ore.solid.measure import Body, convex_body, extremes, longest_calliper, smallest_box
+from stereo_ore.solid.measure import Body, Box, convex_body, extremes, longest_calliper, smallest_box
 from stereo_ore.solid.sight import NEAR, STEP, Sight
 from stereo_ore.types import F64, Bars
 
@@ -20,16 +20,17 @@ DIMENSIONS = ("longest", "middle", "shortest")
 class Cues:
     """Named cues: `even` ones do not change when the lump is mirrored sideways, `odd` ones change sign.
 
-    `doubts` tell how far an estimate may be off. `diagonal` is the logarithm of longest dimension over box length.
-    `body` is the hull of the visible surface and a shrunken footprint on the screen, the closed form that the cues
-    correct; lump frame, metres.
+    `doubts` tell how far an estimate may be off. `support` [m] is the height that seems to carry the lump; heights
+    among the cues, and the estimate's, are over it. `body` is the hull of the visible surface and a shrunken footprint
+    on the screen, the closed form that the cues correct, `box` its box; lump frame, metres.
     """
 
     even: dict[str, float]
     odd: dict[str, float]
     doubts: dict[str, float]
-    diagonal: float
+    support: float
     body: Body
+    box: Box
 
 
 def gather(sight: Sight, bars: Bars | None, opening_m: float | None) -> Cues | None:
@@ -51,23 +52,22 @@ def gather(sight: Sight, bars: Bars | None, opening_m: float | None) -> Cues | N
     found = {name: body for name, body in bodies.items() if body is not None}
     if len(found) < len(bodies):
         return None
-    even: dict[str, float] = {"top": top / s, "low": low / s, "support": support / s}
+    even: dict[str, float] = {"top": (top - support) / s, "low": (low - support) / s, "support": support / s}
     places = {name: body.centroid for name, body in found.items()}
     places |= {"outline": sight.outline.mean(0), "silhouette": sight.silhouette, "surface": sight.points.mean(0)}
     for name, place in places.items():
-        even |= {f"{name}_x": place[0] / s, f"{name}_z": place[2] / s}
+        even |= {f"{name}_x": place[0] / s, f"{name}_z": (place[2] - support) / s}
     for name in ("visible", "mirrored", "grounded"):
         body = found[name]
-        extent = smallest_box(body)[2]
-        dims = (longest_calliper(body.vertices), *extent[1:])
+        box = smallest_box(body)
+        dims = (longest_calliper(body.vertices), *box.extent[1:])
         even |= {f"{name}_{key}": float(np.log(d / s)) for key, d in zip(DIMENSIONS, dims, strict=True)}
-    diagonal = float(np.log(dims[0] / extent[0]))
     even |= {f"{name}_volume": float(np.log(body.volume / s**3)) for name, body in found.items()}
     even["tilt"] = sight.tilt
-    even |= _view_cues(sight, points) | _ring_cues(sight, top) | _bar_cues(sight, outline, bars, opening_m)
+    even |= _view_cues(sight, points) | _ring_cues(sight, top, support) | _bar_cues(sight, outline, bars, opening_m)
     odd = {name: float(place[1] / s) for name, place in places.items()}
     doubts = {name: even[name] for name in ("tilt", "hidden", "others")} | {"depth_noise": sight.sigma_z / s}
-    return Cues(even, odd, doubts, diagonal, found["grounded"])
+    return Cues(even, odd, doubts, support, found["grounded"], box)
 
 
 def _footprint(outline: F64, height: float) -> F64:
@@ -86,7 +86,7 @@ def _support(sight: Sight, low: float) -> float:
     """Height that the surroundings suggest for what carries the lump, between the screen and its lowest point."""
     ring = sight.ring
     near = (ring.gap < NEAR * sight.size) & (ring.step >= -STEP * sight.size)
-    return _percentile(np.clip(ring.outside[near], 0.0, max(low, 0.0)), 75)
+    return _percentiles(np.clip(ring.outside[near], 0.0, max(low, 0.0)), 75)[0]
 
 
 def _view_cues(sight: Sight, points: F64) -> dict[str, float]:
@@ -104,27 +104,29 @@ def _view_cues(sight: Sight, points: F64) -> dict[str, float]:
         "outline_far": _mean(along[far]), "outline_near": _mean(along[near]),
         "outline_side": _mean(along[~far & ~near]),
         "front": float((points @ view).min() - sight.outline.mean(0) @ view) / s, "back": float(along.max()),
-        "facing": float(facing.mean()), "facing_90": _percentile(facing, 90), "facing_spread": float(facing.std()),
+        "facing": float(facing.mean()), "facing_90": _percentiles(facing, 90)[0], "facing_spread": float(facing.std()),
         "frontal": float(-(sight.normals @ view).mean()),
     }  # fmt: skip
 
 
-def _ring_cues(sight: Sight, top: float) -> dict[str, float]:
+def _ring_cues(sight: Sight, top: float, support: float) -> dict[str, float]:
     """What lies around the outline: contact, occluders, gaps, neighbours, and how high."""
     ring, s, n = sight.ring, sight.size, max(sight.ring.count, 1)
     hides = ring.step < -STEP * s
     near = ~hides & (ring.gap < NEAR * s)
-    heights = np.clip(ring.outside[near], -0.2 * s, top) / s
+    heights = (np.clip(ring.outside[near], -0.2 * s, top) - support) / s
     carrying = ring.other & near
     share = carrying.sum() / n
-    neighbour = np.clip(ring.outside[carrying], 0.0, top) / s
+    neighbour = (np.clip(ring.outside[carrying], 0.0, top) - support) / s
     found = {
         "contact": (np.abs(ring.step) <= STEP * s).sum() / n, "hidden": hides.sum() / n, "near": near.sum() / n,
         "others": ring.other.sum() / n, "others_near": share,
-        "neighbour": _percentile(neighbour, 50) * min(1.0, 5.0 * share),
+        "neighbour": _percentiles(neighbour, 50)[0] * min(1.0, 5.0 * share),
     }  # fmt: skip
-    found |= {f"ring_{q}": _percentile(heights, q) for q in (25, 50, 75, 90)}
-    return found | {f"outline_{q}": _percentile(sight.outline[:, 2], q) / s for q in (10, 50, 90)}
+    low, middle, high, highest = _percentiles(heights, 25, 50, 75, 90)
+    found |= {"ring_25": low, "ring_50": middle, "ring_75": high, "ring_90": highest}
+    low, middle, high = _percentiles((sight.outline[:, 2] - support) / s, 10, 50, 90)
+    return found | {"outline_10": low, "outline_50": middle, "outline_90": high}
 
 
 def _bar_cues(sight: Sight, outline: F64, bars: Bars | None, opening_m: float | None) -> dict[str, float]:
@@ -153,8 +155,9 @@ def _bar_cues(sight: Sight, outline: F64, bars: Bars | None, opening_m: float | 
     }
 
 
-def _percentile(values: F64, q: float) -> float:
-    return float(np.percentile(values, q)) if len(values) else 0.0
+def _percentiles(values: F64, *shares: float) -> list[float]:
+    """Percentiles of values, zeros when there are none."""
+    return np.percentile(values, shares).tolist() if len(values) else [0.0] * len(shares)
 
 
 def _mean(values: F64) -> float:

@@ -13,10 +13,13 @@ import numpy as np
 from stereo_ore.types import F64
 
 TARGETS = ("x", "z", "volume", "longest", "middle", "shortest")
-"""What is estimated from even cues: centre of gravity over size, logarithms of volume over size³ and of dimensions over
-size. The sideways coordinate y comes from odd cues alone, for a mirrored lump must give a mirrored answer."""
+"""What is estimated from even cues: centre of gravity over size, z over the support, logarithms of volume over size³
+and of dimensions over size. The sideways coordinate y comes from odd cues alone, for a mirrored lump must give a
+mirrored answer."""
 DOUBTS = ("tilt", "hidden", "others", "depth_noise")
 """What the logarithm of an error's standard deviation is linear in."""
+REACH = 5.0
+"""How many standard deviations a cue may differ from those that the model was made from."""
 SHIPPED = Path(__file__).with_name("prior.json")
 
 
@@ -41,9 +44,9 @@ class Prior:
     sigma: Mapping[str, F64]
 
     def estimate(self, even: Mapping[str, float], odd: Mapping[str, float], doubts: Mapping[str, float]) -> Estimate:
-        """Apply the model; cues are held within four standard deviations of those it was made from."""
+        """Apply the model; cues are held within `REACH` of those it was made from."""
         cues = (np.array([even[name] for name in self.even]) - self.mean) / self.scale
-        mean = dict(zip(TARGETS, (self.constant + np.clip(cues, -4, 4) @ self.weights).tolist(), strict=True))
+        mean = dict(zip(TARGETS, (self.constant + np.clip(cues, -REACH, REACH) @ self.weights).tolist(), strict=True))
         mean["y"] = float(sum(weight * odd[name] for name, weight in self.odd.items()))
         doubt = np.array([1.0, *(min(doubts[name], 1.0) for name in DOUBTS)])
         return Estimate(mean, {name: float(np.exp(row @ doubt)) for name, row in self.sigma.items()})

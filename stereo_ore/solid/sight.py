@@ -14,16 +14,24 @@ from stereo_ore.types import F64, I16, Mask, Plane, Rig, Surface
 
 I64 = npt.NDArray[np.int64]
 
-MARGIN_PX = 6
+MARGIN_PX = 10
 """Pixels around a lump's rectangle that are looked at."""
-SURFACE_PIXELS = 4000
+RING_START_PX, RING_WIDTH = 3.0, 0.1
+"""Where the ring around a lump begins, and its width as share of the lump's side."""
+SURFACE_PIXELS = 3000
 """Larger lumps are looked at with a stride, for time."""
-SURFACE_SAMPLES = 1200
+SURFACE_SAMPLES = 700
 """Surface points used; more do not change the body."""
 MIXED_RMS = 0.1
 """A fitted plane whose residual exceeds this share of the lump's size mixes it with what lies behind."""
 STEP = 0.06
 """Depth difference across the outline, as share of the lump's size, that tells contact from a gap."""
+SLOPE_SIGMA = 0.05
+"""Error [rad] wanted of a smoothed surface's slope."""
+LARGEST_WINDOW = 0.2
+"""Largest side of the smoothing window as share of the lump's."""
+EDGE_PX = 4.0
+"""Width of the band along the outline in which depth is trusted less [px]."""
 MIN_OUTLINE = 8
 """Fewer outline pixels tell nothing."""
 NEAR = 0.6
@@ -129,7 +137,7 @@ def look(
 
 def _crop(surface: Surface, labels: I16, box: tuple[slice, ...], number: int, min_points: int) -> _Crop | None:
     """Cut a lump out, with a margin and perhaps a stride, and smooth its surface by planes."""
-    stride = max(1, int(np.sqrt((labels[box] == number).sum() / SURFACE_PIXELS)))
+    stride = max(1, round(float(np.sqrt((labels[box] == number).sum() / SURFACE_PIXELS))))
     rows, columns = (slice(max(s.start - MARGIN_PX * stride, 0), s.stop + MARGIN_PX * stride, stride) for s in box)
     labels, xyz = labels[rows, columns], surface.xyz[rows, columns].astype(np.float64)
     rig = crop_rig(surface.rig, surface.x0 + columns.start, surface.y0 + rows.start, stride)
@@ -139,14 +147,29 @@ def _crop(surface: Surface, labels: I16, box: tuple[slice, ...], number: int, mi
     if count < min_points:
         return None
     size = float(np.sqrt(lump.sum() / (rig.fx * rig.fy)) * np.median(xyz[seen, 2]))
-    field = fit_planes(xyz[..., 2], seen, 2 * round(0.03 * np.sqrt(count)) + 3, rig)
+    sigma_z = float(np.median(surface.sigma_z[rows, columns][seen]))
+    field = fit_planes(xyz[..., 2], _trust(lump) * seen, _window(size / np.sqrt(lump.sum()), sigma_z, count), rig)
     seen &= field.rms < MIXED_RMS * size
     if not seen.any():
         return None
     scale = np.where(seen, field.depth / np.where(known, xyz[..., 2], 1.0), 1.0)
-    sigma_z = float(np.median(surface.sigma_z[rows, columns][seen]))
     other = (labels > 0) & ~lump
     return _Crop(lump, other, seen, known, xyz * scale[..., None], field.normal, size, sigma_z, rig)
+
+
+def _window(pixel_m: float, sigma_z: float, count: int) -> int:
+    """Odd side [px] of the smoothing window: as large as steady slopes need, as small as the lump's shape asks.
+
+    A slope fitted to n × n points of spacing p and noise σ has the standard deviation √12·σ/(n²·p).
+    """
+    steady = np.sqrt(np.sqrt(12.0) * sigma_z / (SLOPE_SIGMA * pixel_m))
+    return 2 * int(0.5 * min(max(steady, 5.0), max(LARGEST_WINDOW * np.sqrt(count), 5.0))) + 1
+
+
+def _trust(lump: Mask) -> F64:
+    """Weight of a pixel's depth: matchers err beside the outline, where the window sees two surfaces."""
+    inside = cv2.distanceTransform(lump.astype(np.uint8), cv2.DIST_L2, 3)
+    return np.asarray(np.clip((inside / EDGE_PX) ** 2, 0.02, 1.0), np.float64)
 
 
 def _ring(crop: _Crop, edge: Mask, local: F64) -> tuple[Ring, Mask]:
@@ -162,7 +185,7 @@ def _ring(crop: _Crop, edge: Mask, local: F64) -> tuple[Ring, Mask]:
 
 def _thinned(seen: Mask) -> Mask:
     """At most about `SURFACE_SAMPLES` of the pixels, on a regular grid."""
-    skip = max(1, int(np.sqrt(seen.sum() / SURFACE_SAMPLES)))
+    skip = max(1, round(float(np.sqrt(seen.sum() / SURFACE_SAMPLES))))
     sample = np.zeros_like(seen)
     sample[::skip, ::skip] = seen[::skip, ::skip]
     return sample
@@ -187,13 +210,13 @@ def _edge(lump: Mask) -> Mask:
 def _across(lump: Mask, edge: Mask, known: Mask) -> tuple[I64, I64, int]:
     """Flat indices of the ring's measured pixels and of the edge pixel nearest to each; how many pixels the ring has.
 
-    The ring is two to four pixels outside the lump: nearer ones mix the two depths.
+    Pixels nearer to the lump than `RING_START_PX` are passed over: matchers give them the lump's own depth.
     """
-    image, kernel = lump.astype(np.uint8), np.ones((3, 3), np.uint8)
-    ring = (cv2.dilate(image, kernel, iterations=4) - cv2.dilate(image, kernel)) > 0
-    _, nearest = cv2.distanceTransformWithLabels(
+    distance, nearest = cv2.distanceTransformWithLabels(
         (~edge).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
     )
+    width = max(3.0, RING_WIDTH * float(np.sqrt(lump.sum())))
+    ring = ~lump & (distance > RING_START_PX) & (distance <= RING_START_PX + width)
     pixels = np.nonzero(edge.ravel())[0]
     table = np.zeros(int(nearest.max()) + 1, np.int64)
     table[nearest.ravel()[pixels]] = pixels
