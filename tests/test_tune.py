@@ -103,7 +103,7 @@ def test_bad_cost_files(labelled_csv: Path, tmp_path: Path, text: str, words: st
 
 
 def test_training_learns_and_repeats(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(training, "EPOCHS", 30)
+    monkeypatch.setitem(training.EPOCHS, "geometry", 30)
     clouds = [cloud(seed) for seed in range(3)]
     scorer = training.train(clouds, "geometry")
     assert scorer == training.train(clouds, "geometry")

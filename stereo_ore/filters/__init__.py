@@ -40,7 +40,7 @@ class Method:
 METHODS: Mapping[str, Method] = {
     "adaptive": Method(AdaptiveParams, adaptive),
     "paper": Method(PaperParams, paper),
-    "paper-tuned": Method(PaperParams, paper, {"R": 1.3}),
+    "paper-tuned": Method(PaperParams, paper, {"k0": 5, "alpha": 10.0, "R": 1.4}),
     "statistical": Method(StatisticalParams, statistical),
     "radius": Method(RadiusParams, radius),
     "lof": Method(LofParams, lof),
