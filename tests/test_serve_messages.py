@@ -16,13 +16,28 @@ from live import ListSink, make_message, make_ore, make_record, wait_for
 from stereo_ore.errors import OutputError
 from stereo_ore.serve.publisher import Publisher
 from stereo_ore.sinks.base import Outbox
-from stereo_ore.sinks.message import Origin, message, transform_id
+from stereo_ore.sinks.message import Origin, message, notice, transform_id
 
 
 def test_the_records_of_these_tests_are_real_ones():
     schema = json.loads((files("stereo_ore") / "schema" / "frame-1.json").read_text())
     for record in (make_record(3), make_record(4, status="degraded"), make_record(5, arm=False)):
         jsonschema.validate(record, schema)
+
+
+def test_messages_are_what_their_schema_says():
+    schema = json.loads((files("stereo_ore") / "schema" / "targets-1.json").read_text())
+    sink = ListSink()
+    with Publisher([sink], valid_for_s=0.1, origin=Origin(transform_id="0123456789ab")) as publisher:
+        for index, changes in enumerate(({}, {"status": "failed"}, {"arm": False}, {"ores": 0}, {"stamp_ns": 10**18})):
+            publisher.publish(make_record(index, **changes), age_s=0.0)
+        wait_for(lambda: len(sink.messages) == 6, what="expiry")
+    for _, made in sink.messages:
+        jsonschema.validate(json.loads(made.line()), schema)
+    jsonschema.validate(notice(0, Origin(), "offline").json() | {"reasons": ["OFFLINE"], "targets": []}, schema)
+    wrong = json.loads(make_message().line()) | {"valid": False}
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(wrong, schema)
 
 
 def test_a_message_carries_targets_in_order_with_unit_and_frame():

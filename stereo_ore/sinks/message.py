@@ -16,6 +16,7 @@ from typing import Any
 from stereo_ore.types import F64
 
 SCHEMA = "stereo_ore/targets/1"
+"""Described in schema/targets-1.json."""
 
 Json = Mapping[str, Any]
 Vector = tuple[float, float, float]
