@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from stereo_ore.types import F64, Rig
+from stereo_ore.types import F32, F64, Rig
 
 
 @dataclass(frozen=True)
@@ -43,24 +43,32 @@ def fit_planes(depth_m: F64, weight: F64, side: int, rig: Rig) -> PlaneField:
         Geometry of the crop: see `crop_rig`.
     """
     h, w = weight.shape
-    q = np.where(weight > 0, 1.0 / np.where(weight > 0, depth_m, 1.0), 0.0)
-    u, v = np.meshgrid(np.arange(w) - rig.cx, np.arange(h) - rig.cy)
-    wu, wv, wq = weight * u, weight * v, weight * q
-    sums = np.stack([weight, wu, wv, wq, wu * u, wu * v, wv * v, wu * q, wv * q, wq * q], -1)
-    means = np.asarray(
-        cv2.boxFilter(sums, -1, (side, side), normalize=True, borderType=cv2.BORDER_CONSTANT), np.float64
-    )
-    share = means[..., 0]
-    means = np.moveaxis(means[..., 1:] / np.maximum(share, 1e-9)[..., None], -1, 0)
-    mu, mv, mq = means[:3]
-    uu, uv, vv = means[3] - mu * mu, means[4] - mu * mv, means[5] - mv * mv
-    uq, vq, qq = means[6] - mu * mq, means[7] - mv * mq, means[8] - mq * mq
-    determinant = np.maximum(uu * vv - uv**2, 1e-6)
+    inverse = np.where(weight > 0, 1.0 / np.where(weight > 0, depth_m, 1.0), 0.0)
+    middle = float((weight * inverse).sum() / max(float(weight.sum()), 1e-9))
+    q, counts = (inverse - middle).astype(np.float32), weight.astype(np.float32)
+    u, v = np.meshgrid(np.arange(w, dtype=np.float32) - w // 2, np.arange(h, dtype=np.float32) - h // 2)
+    wu, wv, wq = counts * u, counts * v, counts * q
+    share = _mean(counts, side)
+    over = 1.0 / np.maximum(share, 1e-6)
+    mu, mv, mq = (_mean(x, side) * over for x in (wu, wv, wq))
+    uu, uv, vv, uq, vq, qq = (
+        _mean(x * y, side) * over - mx * my
+        for x, y, mx, my in (
+            (wu, u, mu, mu), (wu, v, mu, mv), (wv, v, mv, mv), (wu, q, mu, mq), (wv, q, mv, mq), (wq, q, mq, mq)
+        )
+    )  # fmt: skip
+    determinant = np.maximum(uu * vv - uv * uv, 1e-4)
     a, b = (uq * vv - vq * uv) / determinant, (vq * uu - uq * uv) / determinant
-    here = np.maximum(mq + a * (u - mu) + b * (v - mv), 1e-6)
-    normal = -np.stack([a * rig.fx, b * rig.fy, here - a * u - b * v], -1)
+    here = np.maximum(middle + mq + a * (u - mu) + b * (v - mv), 1e-6)
+    c = here - a * (u + (w // 2 - rig.cx)) - b * (v + (h // 2 - rig.cy))
+    normal = -np.stack([a * rig.fx, b * rig.fy, c], -1).astype(np.float64)
     normal /= np.sqrt((normal**2).sum(-1, keepdims=True))
-    return PlaneField(1.0 / here, normal, np.sqrt(np.maximum(qq - a * uq - b * vq, 0.0)) / here**2, share)
+    rms = np.sqrt(np.maximum(qq - a * uq - b * vq, 0.0)) / here**2
+    return PlaneField(1.0 / here.astype(np.float64), normal, rms.astype(np.float64), share.astype(np.float64))
+
+
+def _mean(image: F32, side: int) -> F32:
+    return np.asarray(cv2.boxFilter(image, -1, (side, side), borderType=cv2.BORDER_CONSTANT), np.float32)
 
 
 def crop_rig(rig: Rig, u0: int, v0: int, stride: int = 1) -> Rig:

@@ -1,0 +1,238 @@
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from analytic import Ellipsoid, View, look_down
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from stereo_ore.config.models import SolidConfig
+from stereo_ore.planes import fit_planes
+from stereo_ore.solid import fit, prior, scenes, solids
+from stereo_ore.solid.cues import gather
+from stereo_ore.solid.measure import convex_body, longest_calliper, smallest_box
+from stereo_ore.solid.sight import look
+from stereo_ore.types import OreMap, Rig, Solid
+
+CONFIG = SolidConfig()
+BOULDER = Ellipsoid((0.10, 0.08, 0.06), (0.02, 0.01, 0.06))
+PAIR = [BOULDER, Ellipsoid((0.06, 0.05, 0.04), (-0.18, 0.05, 0.04))]
+
+
+def solve(view: View, config: SolidConfig = CONFIG) -> list[Solid]:
+    found = solids(view.surface, view.ore_map, view.grizzly, config)
+    assert all(solid is not None for solid in found)
+    return [solid for solid in found if solid is not None]
+
+
+@pytest.mark.parametrize("pitch", [45.0, 60.0, 75.0, 89.0])
+@pytest.mark.parametrize("bars", [False, True])
+def test_a_resting_ellipsoid_is_completed(pitch: float, bars: bool) -> None:
+    view = look_down([BOULDER], pitch, bars=bars)
+    solid = solve(view)[0]
+    error = np.linalg.norm(solid.centre_of_gravity - view.to_camera(BOULDER.centre))
+    volume = 4 / 3 * np.pi * np.prod(BOULDER.radii)
+    visible = view.surface.xyz[view.ore_map.labels == 1].mean(0)
+    assert error < 0.08 * 0.2
+    assert error < 0.5 * np.linalg.norm(visible - view.to_camera(BOULDER.centre))
+    assert solid.volume_bounds_m3[0] < volume < solid.volume_bounds_m3[1]
+    np.testing.assert_allclose(solid.size_m, [0.2, 0.16, 0.12], rtol=0.25)
+
+
+def test_numbers_are_consistent_with_each_other() -> None:
+    for solid in solve(look_down(PAIR)):
+        low, high = solid.volume_bounds_m3
+        assert 0 < low < solid.volume_m3 < high
+        assert (np.diff(solid.size_m) <= 0).all()
+        assert (solid.sigma_m > 0).all()
+        np.testing.assert_allclose(solid.axes @ solid.axes.T, np.eye(3), atol=1e-9)
+        assert np.linalg.det(solid.axes) == pytest.approx(1.0)
+        hull = convex_body(solid.vertices.astype(float))
+        assert hull is not None
+        assert hull.volume == pytest.approx(solid.volume_m3, rel=1e-3)
+        np.testing.assert_allclose(hull.centroid, solid.centre_of_gravity, atol=1e-4)
+
+
+@given(scale=st.floats(0.2, 20.0))
+@settings(deadline=None, max_examples=6)
+def test_lengths_scale(scale: float) -> None:
+    one, other = solve(look_down([BOULDER]))[0], solve(look_down([BOULDER], scale=scale))[0]
+    np.testing.assert_allclose(other.centre_of_gravity, scale * one.centre_of_gravity, rtol=1e-3)
+    np.testing.assert_allclose(other.size_m, scale * one.size_m, rtol=1e-3)
+    assert other.volume_m3 == pytest.approx(scale**3 * one.volume_m3, rel=5e-3)
+
+
+def test_a_crop_gives_the_same_as_the_whole_image() -> None:
+    view = look_down(PAIR)
+    rows, columns = slice(60, 440), slice(80, 600)
+    crop = replace(
+        view.surface, xyz=view.surface.xyz[rows, columns], bgr=view.surface.bgr[rows, columns],
+        sigma_z=view.surface.sigma_z[rows, columns], x0=80, y0=60,
+    )  # fmt: skip
+    for one, other in zip(solve(view), solve(replace(view, surface=crop)), strict=True):
+        np.testing.assert_allclose(one.centre_of_gravity, other.centre_of_gravity, atol=1e-6)
+        assert one.volume_m3 == pytest.approx(other.volume_m3)
+
+
+def test_a_lump_that_rests_on_another_is_not_grown_down_to_the_screen() -> None:
+    base = Ellipsoid((0.16, 0.16, 0.05), (0.0, 0.0, 0.05))
+    top = Ellipsoid((0.06, 0.05, 0.04), (0.0, -0.02, 0.135))
+    view = look_down([base, top], 65.0)
+    solid = solve(view)[1]
+    height = view.grizzly.plane.height(solid.centre_of_gravity)
+    assert 0.11 < height < 0.15
+    assert solid.volume_m3 == pytest.approx(4 / 3 * np.pi * np.prod(top.radii), rel=0.5)
+
+
+def test_what_can_not_be_made_is_none_and_keeps_its_place() -> None:
+    view = look_down(PAIR)
+    labels = view.ore_map.labels.copy()
+    labels[labels == 1] = 0
+    labels[10:13, 10:13] = 1
+    found = solids(view.surface, OreMap(labels), view.grizzly, CONFIG)
+    assert found[0] is None
+    assert found[1] is not None
+    blind = view.surface.xyz.copy()
+    blind[view.ore_map.labels == 2] = np.nan
+    found = solids(replace(view.surface, xyz=blind), view.ore_map, view.grizzly, CONFIG)
+    assert found[0] is not None
+    assert found[1] is None
+    assert solids(view.surface, OreMap(np.zeros_like(labels)), view.grizzly, CONFIG) == ()
+
+
+def test_holes_and_wild_points_change_little() -> None:
+    view = look_down([BOULDER])
+    rng = np.random.default_rng(0)
+    xyz = view.surface.xyz.copy()
+    xyz[rng.random(xyz.shape[:2]) < 0.3] = np.nan
+    wild = rng.random(xyz.shape[:2]) < 0.003
+    xyz[wild] *= rng.uniform(0.9, 1.1, (int(wild.sum()), 1)).astype(np.float32)
+    one, other = solve(view)[0], solve(replace(view, surface=replace(view.surface, xyz=xyz)))[0]
+    assert np.linalg.norm(one.centre_of_gravity - other.centre_of_gravity) < 0.01
+    assert other.volume_m3 == pytest.approx(one.volume_m3, rel=0.3)
+
+
+@pytest.mark.parametrize(("factor", "expected"), [(0.7, True), (1.3, False), (1.0, None), (None, None)])
+def test_oversize_has_a_margin(factor: float | None, expected: bool | None) -> None:
+    view = look_down([BOULDER])
+    opening = None if factor is None else factor * float(solve(view)[0].size_m[1])
+    middle = solve(replace(view, grizzly=replace(view.grizzly, opening_m=opening)))[0]
+    assert middle.oversize is expected
+
+
+def test_a_cut_lump_is_uncertain_and_never_called_small() -> None:
+    view = look_down([BOULDER])
+    whole = solve(view)[0]
+    cut = solve(replace(view, ore_map=replace(view.ore_map, cut=frozenset({1}))))[0]
+    assert (cut.sigma_m > 1.5 * whole.sigma_m).all()
+    assert [reason.code for reason in cut.reasons] == ["CUT_BY_IMAGE"]
+    wide = replace(
+        view, grizzly=replace(view.grizzly, opening_m=1.0), ore_map=replace(view.ore_map, cut=frozenset({1}))
+    )
+    assert solve(wide)[0].oversize is None
+
+
+def test_equal_input_gives_equal_bytes_and_stays_as_it_was() -> None:
+    view = look_down(PAIR, bars=True)
+    before = view.surface.xyz.copy()
+    one, other = solve(view), solve(view)
+    for a, b in zip(one, other, strict=True):
+        assert a.centre_of_gravity.tobytes() == b.centre_of_gravity.tobytes()
+        assert a.vertices.tobytes() == b.vertices.tobytes()
+    np.testing.assert_array_equal(before, view.surface.xyz)
+
+
+@given(seed=st.integers(0, 10_000))
+@settings(deadline=None, max_examples=20)
+def test_a_turned_cuboid_is_measured(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    dims = np.sort(rng.uniform(0.1, 1.0, 3))[::-1]
+    corners = (np.stack(np.meshgrid([0, 1], [0, 1], [0, 1]), -1).reshape(-1, 3) - 0.5) * dims
+    shift = rng.normal(size=3)
+    body = convex_body(corners @ Rotation.random(random_state=seed).as_matrix().T + shift)
+    assert body is not None
+    box = smallest_box(body)
+    centre, axes, extent = box.centre, box.axes, box.extent
+    assert body.volume == pytest.approx(dims.prod())
+    np.testing.assert_allclose(body.centroid, shift, atol=1e-9)
+    np.testing.assert_allclose(centre, shift, atol=1e-2)
+    assert extent.prod() == pytest.approx(dims.prod(), rel=0.15)
+    assert np.linalg.det(axes) == pytest.approx(1.0)
+    assert longest_calliper(body.vertices) == pytest.approx(np.linalg.norm(dims))
+
+
+@pytest.mark.parametrize(
+    "points", [np.zeros((0, 3)), np.zeros((9, 3)), np.eye(3), np.random.default_rng(0).random((9, 3)) * [1, 1, 0]]
+)
+def test_points_without_volume_are_no_body(points: np.ndarray) -> None:
+    assert convex_body(points) is None
+
+
+@given(a=st.floats(-0.5, 0.5), b=st.floats(-0.5, 0.5), z=st.floats(0.5, 5.0))
+@settings(deadline=None, max_examples=20)
+def test_plane_fields_are_exact_on_planes(a: float, b: float, z: float) -> None:
+    rig = Rig(60, 40, 300.0, 310.0, 25.0, 18.0, 0.12)
+    normal = np.array([a, b, -1.0]) / np.linalg.norm([a, b, -1.0])
+    v, u = np.mgrid[:40, :60]
+    rays = rig.back_project(u, v, np.ones(u.shape))
+    depth = -z / (rays @ normal)
+    weight = np.ones(u.shape)
+    weight[5:9, 7:9] = 0
+    field = fit_planes(np.where(weight > 0, depth, np.nan), weight, 7, rig)
+    np.testing.assert_allclose(field.depth, depth, rtol=1e-5)
+    np.testing.assert_allclose(field.normal, np.broadcast_to(normal, field.normal.shape), atol=2e-3)
+    assert field.rms.max() < 2e-4 * z
+
+
+def test_the_shipped_coefficients_fit_the_cues() -> None:
+    view = look_down([BOULDER], bars=True)
+    box = (slice(100, 400), slice(150, 500))
+    sight = look(view.surface, view.ore_map.labels, box, 1, view.grizzly.plane, 30)
+    assert sight is not None
+    cues = gather(sight, view.grizzly.bars, view.grizzly.opening_m)
+    assert cues is not None
+    shipped = prior.load()
+    assert set(shipped.even) == set(cues.even)
+    assert set(shipped.odd) == set(cues.odd)
+    assert set(cues.doubts) == set(prior.DOUBTS)
+    assert np.isfinite(shipped.weights).all()
+
+
+def test_fitting_recovers_a_linear_law(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    samples = []
+    for fold in range(10):
+        for _ in range(60):
+            even, odd = dict(zip("abc", rng.normal(size=3), strict=True)), {"p": rng.normal(), "q": rng.normal()}
+            truth = {t: k + 2 * even["a"] - even["c"] + 0.01 * rng.normal() for k, t in enumerate(prior.TARGETS)}
+            doubts = dict.fromkeys(prior.DOUBTS, 0.0)
+            samples.append(scenes.Sample(even, odd, doubts, truth | {"y": 0.5 * odd["p"]}, 1.0, fold))
+    file = tmp_path / "prior.json"
+    file.write_text(json.dumps(fit.fit(samples)))
+    estimate = prior.load(file).estimate({"a": 1.0, "b": 5.0, "c": 0.5}, {"p": 2.0, "q": 9.0}, doubts)
+    for k, target in enumerate(prior.TARGETS):
+        assert estimate.mean[target] == pytest.approx(k + 1.5, abs=0.3)
+    assert estimate.mean["y"] == pytest.approx(1.0, abs=0.02)
+    assert 0.001 < estimate.sigma["x"] < 0.5
+
+
+def test_true_depth_of_path_traced_scenes(shared_data: Path) -> None:
+    """Floors of the model alone, with exact depth and outlines."""
+    shift, volume, longest, inside = [], [], [], []
+    for folder in sorted((shared_data / "scenes_dev").glob("*/")):
+        for sample in scenes.samples(folder, "true", weight=1.0, fold=0):
+            estimate = prior.load().estimate(sample.even, sample.odd, sample.doubts)
+            error = {name: estimate.mean[name] - sample.truth[name] for name in estimate.mean}
+            vector = np.array([error[axis] for axis in "xyz"])
+            shift.append(np.linalg.norm(vector) / np.exp(sample.truth["longest"]))
+            volume.append(abs(np.expm1(error["volume"])))
+            longest.append(abs(np.expm1(error["longest"])))
+            inside.append(np.abs(vector) <= [2 * estimate.sigma[axis] for axis in "xyz"])
+    assert len(shift) > 50
+    assert np.median(shift) < 0.04
+    assert np.median(volume) < 0.12
+    assert np.median(longest) < 0.04
+    assert np.mean(inside) > 0.9
