@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Container
 from itertools import islice
 from pathlib import Path
 
@@ -16,8 +17,10 @@ import pytest
 from live import ListSink, names_in, running, wait_for
 
 from stereo_ore.errors import FrameError, SourceError
+from stereo_ore.serve.arrivals import arrivals
 from stereo_ore.serve.frames import Position
 from stereo_ore.serve.watch import FolderWatch
+from stereo_ore.sources import open_source
 
 SERVER = Path(__file__).with_name("live.py")
 
@@ -139,6 +142,58 @@ def test_frames_that_are_deleted_once_done_change_nothing(tmp_path):
     thread.join()
     assert names == [f"{index:06d}" for index in range(5)]
     assert "late" not in source.state()
+
+
+def test_a_picture_without_a_mark_beside_pairs_is_no_frame(tmp_path):
+    source, names, stop = watch(tmp_path), [], threading.Event()
+    put_pair(tmp_path, 0)
+    (tmp_path / "preview.png").write_bytes(picture(width=32))
+    thread = collect(source, names, stop)
+    wait_for(lambda: len(names) == 1)
+    time.sleep(0.1)
+    put_pair(tmp_path, 1)
+    wait_for(lambda: len(names) == 2)
+    stop.set()
+    thread.join()
+    assert names == ["000000", "000001"]
+
+
+def test_a_folder_that_goes_away_may_come_back(tmp_path):
+    inbox = tmp_path / "in"
+    inbox.mkdir()
+    source, names, stop = watch(inbox), [], threading.Event()
+    thread = collect(source, names, stop)
+    put_pair(inbox, 0)
+    wait_for(lambda: len(names) == 1)
+    inbox.rename(tmp_path / "away")
+    wait_for(lambda: "can't be read" in source.state())
+    (tmp_path / "away").rename(inbox)
+    put_pair(inbox, 1)
+    wait_for(lambda: len(names) == 2)
+    assert "can't be read" not in source.state()
+    stop.set()
+    thread.join()
+
+
+def test_names_agree_with_those_that_run_gives(tmp_path):
+    for name in ("cam L 9.png", "cam R 9.png", "cam L 10.png", "cam R 10.png", "only_left_11.png"):
+        (tmp_path / name).write_bytes(picture())
+    assert take(watch(tmp_path), 3) == list(open_source(tmp_path).names)
+
+
+def test_listing_does_not_grow_with_the_frames_that_are_done(tmp_path):
+    for index in range(3000):
+        for side in ("left", "right"):
+            (tmp_path / f"{side}{index:06d}.png").touch()
+
+    def seconds(done: Container[str]) -> float:
+        start = time.perf_counter()
+        found = arrivals(tmp_path, done)
+        assert len(found) == (0 if done else 3000)
+        return time.perf_counter() - start
+
+    everything = {str(file) for file in tmp_path.iterdir()}
+    assert min(seconds(everything) for _ in range(5)) < 0.3 * min(seconds(()) for _ in range(3))
 
 
 def test_a_restart_goes_on_after_the_last_frame(tmp_path):

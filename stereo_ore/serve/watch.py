@@ -9,6 +9,7 @@ counted, and never processed. So the name of the last frame done is all that a r
 from __future__ import annotations
 
 import logging
+import os
 import threading
 import time
 from collections.abc import Iterator
@@ -16,9 +17,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from stereo_ore.errors import SourceError
+from stereo_ore.serve.arrivals import Arrival, arrivals
 from stereo_ore.serve.frames import LiveFrame, Position
-from stereo_ore.sources import Source
-from stereo_ore.sources.folder import open_folder
+from stereo_ore.sources.folder import ImagePairs
 from stereo_ore.sources.names import natural_key
 from stereo_ore.types import StereoPair
 
@@ -26,8 +27,10 @@ log = logging.getLogger(__name__)
 
 SETTLED_S = 1.0
 """A file in a format without an end marker is complete when it has not changed for this time."""
-SCAN_SHARE = 0.1
+SCAN_SHARE = 0.25
 """At most this share of the time is spent listing the folder, however large it grows."""
+PRUNE_AT = 100_000
+"""Names of files done are forgotten, where the files are gone, when there are so many."""
 TAIL_BYTES = 64
 END_MARKS = {b"\x89PNG": b"IEND\xaeB`\x82", b"\xff\xd8": b"\xff\xd9"}
 
@@ -51,25 +54,26 @@ class FolderWatch:
         self.name = str(folder)
         self._poll_s, self._patience_s = poll_s, patience_s
         self._pending: _Pending | None = None
-        self._seen = 0
+        self._done: set[str] = set()
+        self._prune_at = PRUNE_AT
+        self._pairs = False
         self._late = 0
         self._waiting = 0
         self._problem = ""
 
     def frames(self, start: Position, stop: threading.Event) -> Iterator[LiveFrame]:
         """Frames that sort after `start.after`, as they become complete."""
-        after, index = start.after, start.index
-        self._seen = -1
+        after, index, watching = start.after, start.index, False
         while not stop.is_set():
             began = time.monotonic()
-            source = self._scan()
-            first = self._first_new(source, after)
-            scan_s = time.monotonic() - began
-            for place in range(first, len(source.names) if source else 0):
-                if stop.is_set() or source is None or not self._ready(source, place):
+            waiting = self._new_frames(after, late=watching)
+            watching, scan_s = True, time.monotonic() - began
+            for place, arrival in enumerate(waiting):
+                if stop.is_set() or not self._ready(arrival):
                     break
-                after, self._seen, self._waiting = source.names[place], place + 1, len(source.names) - place - 1
-                yield _frame(source, place, index)
+                after, self._waiting = arrival.name, len(waiting) - place - 1
+                self._done.update(map(str, arrival.files))
+                yield _frame(arrival, index)
                 index += 1
             stop.wait(max(self._poll_s, scan_s / SCAN_SHARE))
 
@@ -86,49 +90,48 @@ class FolderWatch:
             parts.append(self._problem)
         return "; ".join(parts)
 
-    def _scan(self) -> Source | None:
+    def _new_frames(self, after: str | None, late: bool) -> list[Arrival]:
+        """Frames that sort after `after`; the others are done or, once the folder is being watched, too late."""
         try:
-            source = open_folder(self.folder)
-        except (SourceError, OSError) as fault:
-            # An empty folder, or one eye of the first frame: what is to come will tell.
-            self._problem = str(fault)
-            return None
-        self._problem = ""
-        return source
+            found, self._problem = arrivals(self.folder, self._done), ""
+        except OSError as fault:
+            # A network folder comes back; until then targets expire.
+            found, self._problem = [], f"can't be read: {fault.strerror}"
+        # A picture without a mark beside left and right ones is no side-by-side frame.
+        self._pairs |= any(isinstance(arrival.source, ImagePairs) for arrival in found)
+        if self._pairs:
+            found = [arrival for arrival in found if isinstance(arrival.source, ImagePairs)]
+        if after is None:
+            return found
+        limit = natural_key(after)
+        past = [arrival for arrival in found if natural_key(arrival.name) <= limit]
+        self._leave_out(past)
+        if late and past:
+            self._late += len(past)
+            log.warning("%d frames in %s sort before %s, which is done: left out", len(past), self.folder, after)
+        return found[len(past) :]
 
-    def _first_new(self, source: Source | None, after: str | None) -> int:
-        """Place of the first frame that sorts after `after`; frames that slipped in before it are late."""
-        names = source.names if source else ()
-        limit = None if after is None else natural_key(after)
-        first = 0 if limit is None else sum(natural_key(name) <= limit for name in names)
-        if 0 <= self._seen < first:
-            late = first - self._seen
-            self._late += late
-            log.warning("%d frames in %s sort before %s, which is done: left out", late, self.folder, after)
-        self._seen = first
-        return first
+    def _leave_out(self, past: list[Arrival]) -> None:
+        self._done.update(str(file) for arrival in past for file in arrival.files)
+        if len(self._done) > self._prune_at:
+            self._done = {file for file in self._done if os.path.exists(file)}
+            self._prune_at = max(PRUNE_AT, 2 * len(self._done))
 
-    def _ready(self, source: Source, place: int) -> bool:
+    def _ready(self, arrival: Arrival) -> bool:
         """Whether the frame may be handed on: complete, or waited for long enough."""
-        name, files = source.names[place], source.files(place)
         try:
-            looks = tuple((stat.st_size, stat.st_mtime_ns) for stat in (file.stat() for file in files))
+            looks = tuple((stat.st_size, stat.st_mtime_ns) for stat in (file.stat() for file in arrival.files))
         except OSError:
             looks = ()
         pending = self._pending
-        if pending is None or (pending.name, pending.looks) != (name, looks):
-            pending = self._pending = _Pending(name, looks, time.monotonic())
+        if pending is None or (pending.name, pending.looks) != (arrival.name, looks):
+            pending = self._pending = _Pending(arrival.name, looks, time.monotonic())
         unchanged_s = time.monotonic() - pending.since
-        whole = _has_both_eyes(source, place) and all(_is_whole(file, unchanged_s) for file in files)
+        whole = arrival.paired and all(_is_whole(file, unchanged_s) for file in arrival.files)
         if whole or unchanged_s >= self._patience_s:
             self._pending = None
             return True
         return False
-
-
-def _has_both_eyes(source: Source, place: int) -> bool:
-    pairs = getattr(source, "pairs", None)
-    return pairs is None or None not in pairs[place]
 
 
 def _is_whole(file: Path, unchanged_s: float) -> bool:
@@ -146,12 +149,12 @@ def _is_whole(file: Path, unchanged_s: float) -> bool:
     return bool(head) and unchanged_s >= SETTLED_S
 
 
-def _frame(source: Source, place: int, index: int) -> LiveFrame:
-    files = source.files(place)
+def _frame(arrival: Arrival, index: int) -> LiveFrame:
+    files = arrival.files
 
     def read() -> StereoPair:
-        return replace(source.read(place), index=index)
+        return replace(arrival.source.read(0), index=index)
 
     # The change time is when the file got its content here; copying tools carry the modification time over.
     arrived_ns = max((file.stat().st_ctime_ns for file in files if file.exists()), default=time.time_ns())
-    return LiveFrame(source.names[place], index, arrived_ns, files, read)
+    return LiveFrame(arrival.name, index, arrived_ns, files, read)
