@@ -37,12 +37,11 @@ class Row:
 def judge(labelled: LabelledCloud, contender: Contender) -> Row:
     """The best that a contender may show on a cloud."""
     noise = labelled.is_noise
-    setting, quality = contender.best(labelled.voxels, noise)
-    removed = dict(contender.removed(labelled.voxels))[setting] if labelled.on_bar is not None else None
+    setting, quality, removed = contender.best(labelled.voxels, noise)
     kept_noise = noise.sum() * (1 - quality.recall)
     kept = kept_noise + (~noise).sum() * quality.retention
     bars = None if labelled.on_bar is None else labelled.on_bar & ~noise
-    bars_kept = None if bars is None or removed is None or not bars.any() else float((~removed[bars]).mean())
+    bars_kept = None if bars is None or not bars.any() else float((~removed[bars]).mean())
     left = float(kept_noise / max(kept, 1))
     return Row(
         labelled.name, labelled.cell, contender.label, setting, len(noise), float(noise.mean()),

@@ -79,11 +79,15 @@ def aloe(folder: Path) -> StereoSet:
 
 
 def traced(folder: Path) -> StereoSet:
-    """A scene folder with calibration, working volume and exact truth."""
+    """A scene folder with calibration, working volume and exact truth; what lies outside the volume does not count."""
     truth = evaluate.load_truth(folder)
     stereo, site = load_rig(folder)
     pair = rectify.rectify(sources.open_source(folder).read(0), rectify.make_rectifier(stereo))
-    disparity = np.where(truth.depth > 0, truth.disparity, np.nan).astype(np.float32)
+    known = truth.depth > 0
+    if site.volume is not None:
+        v, u = np.indices(truth.depth.shape)
+        known &= site.volume.contains(pair.rig.back_project(u, v, truth.depth))
+    disparity = np.where(known, truth.disparity, np.nan).astype(np.float32)
     region = matching.find_region(pair.rig, site.volume, MatchingConfig())
     return StereoSet(folder.name, pair, disparity, region, ore=np.asarray(truth.instance >= 2), volume=site.volume)
 
