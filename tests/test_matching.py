@@ -271,3 +271,15 @@ def test_narrowing_gives_up_where_nothing_can_be_matched() -> None:
     region = whole(RIG, 3, 128)
     assert matching.narrow(RectifiedPair(black, black, RIG), region, None, CONFIG).num_disparities >= 16
     assert np.isnan(matching.match(RectifiedPair(black, 255 - black, RIG), region, CONFIG).values).mean() >= 0
+
+
+def test_narrowing_keeps_a_small_far_piece_of_the_volume() -> None:
+    near, far = texture(320, 480, 0), texture(320, 480, 5)
+    left, right = np.roll(near, 42, 1), near.copy()
+    left[100:130, 200:230] = far[100:130, 200:230]
+    right[100:130, 168:198] = far[100:130, 200:230]
+    pair = RectifiedPair(*(cv2.merge([np.rint(eye).astype(np.uint8)] * 3) for eye in (left, right)), RIG)
+    volume = slab(0.8, 1.2, 0.6)
+    region = matching.narrow(pair, matching.find_region(RIG, volume, CONFIG), volume, CONFIG)
+    assert region.min_disparity <= 31
+    assert region.min_disparity + region.num_disparities > 43

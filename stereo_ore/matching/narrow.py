@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -20,7 +21,7 @@ COARSE = {"mode": "3way", "uniqueness": 10, "lr_max_diff": 1.0, "speckle_size": 
 """A noisy disparity of the small copy would widen the range, so doubt decides against it; no lump is a speckle."""
 
 FAR_SHARE = 0.005
-"""Share of the far end of the disparities that may be missed: nothing of interest is there, but wrong matches are."""
+"""Share of the far end of the disparities that may be missed behind the volume: wrong matches are there."""
 
 SHORT_RANGE = 96
 """Without a volume so few disparities are sooner searched than looked over."""
@@ -56,8 +57,12 @@ def narrow(pair: RectifiedPair, region: Region, volume: Volume | None, config: M
     if seen.mean() < LEAST_SHARE:
         return region
     disparity = (sgbm.to_px(matched) + np.float32(coarse.min_disparity)) * np.float32(scale)
-    rectangle = _rectangle(pair.rig, region, coarse, scale, disparity, seen, volume)
-    return _range(region, rectangle, coarse, scale, disparity, seen)
+    if volume is None:
+        return _range(region, coarse, scale, disparity, seen, None)
+    inside = _in_volume(pair.rig, coarse, scale, disparity, seen, volume)
+    if not inside.any():
+        return region
+    return _range(_around(region, coarse, scale, inside), coarse, scale, disparity, seen, inside)
 
 
 def _coarse_region(rig: Rig, region: Region, scale: int) -> Region:
@@ -73,39 +78,39 @@ def _reduce(image: U8, scale: int) -> U8:
     return np.asarray(cv2.resize(part, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _rectangle(
-    rig: Rig, region: Region, coarse: Region, scale: int, disparity: F32, seen: Mask, volume: Volume | None
-) -> tuple[int, int, int, int]:
-    """Corners of what shows the volume, x0, y0, x1, y1 [px]; the region's own without a volume."""
-    whole = (region.x0, region.y0, region.x1, region.y1)
-    if volume is None:
-        return whole
+def _in_volume(rig: Rig, coarse: Region, scale: int, disparity: F32, seen: Mask, volume: Volume) -> Mask:
+    """The pixels of the copy whose points lie in the volume."""
     rows, columns = np.nonzero(seen)
-    u, v = ((index + first) * scale for index, first in ((columns, coarse.x0), (rows, coarse.y0)))
     z = rig.depth(disparity[seen] + rig.disparity_offset_px)
-    inside = volume.contains(rig.back_project(u, v, z).astype(np.float32))
-    if not inside.any():
-        return whole
-    u, v = u[inside], v[inside]
+    xyz = rig.back_project((columns + coarse.x0) * scale, (rows + coarse.y0) * scale, z)
+    inside = seen.copy()
+    inside[seen] = volume.contains(xyz.astype(np.float32))
+    return inside
+
+
+def _around(region: Region, coarse: Region, scale: int, inside: Mask) -> Region:
+    """The rectangle of the region that holds the pixels inside, with a margin."""
+    rows, columns = np.flatnonzero(inside.any(1)) + coarse.y0, np.flatnonzero(inside.any(0)) + coarse.x0
     margin = MARGIN_PX + scale
-    return (
-        max(int(u.min()) - margin, region.x0),
-        max(int(v.min()) - margin, region.y0),
-        min(int(u.max()) + scale + margin, region.x1),
-        min(int(v.max()) + scale + margin, region.y1),
+    return replace(
+        region,
+        x0=max(int(columns[0]) * scale - margin, region.x0),
+        y0=max(int(rows[0]) * scale - margin, region.y0),
+        x1=min(int(columns[-1] + 1) * scale + margin, region.x1),
+        y1=min(int(rows[-1] + 1) * scale + margin, region.y1),
     )
 
 
-def _range(
-    region: Region, rectangle: tuple[int, int, int, int], coarse: Region, scale: int, disparity: F32, seen: Mask
-) -> Region:
-    """The rectangle with the disparities seen in it, half a pixel of the copy more at both ends."""
-    x0, y0, x1, y1 = rectangle
+def _range(region: Region, coarse: Region, scale: int, disparity: F32, seen: Mask, inside: Mask | None) -> Region:
+    """The region with the disparities seen in it, half a pixel of the copy more at both ends."""
     part = (
-        slice(y0 // scale - coarse.y0, -(-y1 // scale) - coarse.y0),
-        slice(x0 // scale - coarse.x0, -(-x1 // scale) - coarse.x0),
+        slice(region.y0 // scale - coarse.y0, -(-region.y1 // scale) - coarse.y0),
+        slice(region.x0 // scale - coarse.x0, -(-region.x1 // scale) - coarse.x0),
     )
     found = disparity[part][seen[part]]
-    lowest = max(math.floor(np.quantile(found, FAR_SHARE) - scale / 2), coarse.min_disparity * scale)
+    farthest = float(np.quantile(found, FAR_SHARE))
+    if inside is not None:
+        farthest = min(farthest, float(disparity[inside].min()))
+    lowest = max(math.floor(farthest - scale / 2), coarse.min_disparity * scale)
     highest = min(math.ceil(found.max() + scale / 2), region.min_disparity + region.num_disparities - 1)
-    return Region(x0, y0, x1, y1, lowest, round_up(highest - lowest + 1))
+    return replace(region, min_disparity=lowest, num_disparities=round_up(highest - lowest + 1))
