@@ -23,12 +23,11 @@ pytest.importorskip("asyncua", reason="asyncua is not installed")
 from asyncua import ua
 from asyncua.sync import Client
 
-from stereo_ore.errors import ConfigError, OutputError
+from stereo_ore.errors import OutputError
 from stereo_ore.sinks import opcua
 from stereo_ore.sinks.message import Origin, notice
 from stereo_ore.sinks.opcua import OpcUaSecurity, OpcUaSink
 from stereo_ore.sinks.opcua_model import NAMESPACE, PAYLOAD, SLOTS
-from stereo_ore.sinks.settings import load_sinks, open_sinks, read_users
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:asyncua")
 
@@ -373,55 +372,6 @@ def test_a_certificate_that_is_none_is_an_error(tmp_path):
     security = OpcUaSecurity(tmp_path / "x", tmp_path / "x", None, {"arm": "secret"})
     with pytest.raises(OutputError, match="Are certificate and key"), OpcUaSink("127.0.0.1", free_port(), security):
         pass
-
-
-def write_settings(folder: Path, text: str) -> Path:
-    file = folder / "sinks.yaml"
-    file.write_text(f"format: stereo_ore/sinks\nversion: 1\n{text}\n")
-    return file
-
-
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("opcua: {host: 0.0.0.0}", "certificate"),
-        ("opcua: {host: 192.168.1.5, certificate: a, private_key: b}", "users"),
-        ("mqtt: {host: broker.example}", "authority"),
-        ("tcp: {host: 0.0.0.0}", "tunnel"),
-        ("tcp: {prot: 1}", "did you mean port"),
-        ("tcp: {port: 70000}", "65535"),
-        ("opcua: {certificate: a}", "belong together"),
-        ("opcua: {users: a}", "encryption"),
-        ("mqtt: {topic: 'a/#'}", "topic"),
-    ],
-)
-def test_settings_that_would_be_unsafe_or_are_wrong_are_refused(tmp_path, text, says):
-    file = write_settings(tmp_path, text)
-    with pytest.raises(ConfigError, match=says) as fault:
-        load_sinks(file)
-    assert str(file) in str(fault.value)
-
-
-def test_settings_name_files_beside_them(tmp_path):
-    text = "opcua: {host: 0.0.0.0, certificate: server.der, private_key: server.pem, users: users}"
-    settings = load_sinks(write_settings(tmp_path, text), tcp=0)
-    assert settings.opcua.certificate == tmp_path / "server.der"
-    assert settings.tcp.host == "127.0.0.1"
-    (tmp_path / "users").write_text("arm:secret\n")
-    (tmp_path / "users").chmod(0o644)
-    with pytest.raises(ConfigError, match="chmod 600"):
-        open_sinks(settings)
-    (tmp_path / "users").chmod(0o600)
-    assert [type(sink).__name__ for sink in open_sinks(settings)] == ["OpcUaSink", "TcpSink"]
-
-
-@pytest.mark.parametrize("text", ["", "arm\n", "arm:\n", ":x\n"])
-def test_a_file_of_users_that_can_not_be_used(tmp_path, text):
-    file = tmp_path / "users"
-    file.write_text(text)
-    file.chmod(0o600)
-    with pytest.raises(ConfigError, match="user"):
-        read_users(file)
 
 
 if __name__ == "__main__":

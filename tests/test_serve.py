@@ -28,6 +28,7 @@ from stereo_ore.serve.loop import position
 from stereo_ore.serve.processing import Processor
 from stereo_ore.sinks.frame_files import FrameFiles
 from stereo_ore.sources import open_source
+from stereo_ore.types import Site
 
 COMMAND = [sys.executable, "-c", "from stereo_ore.cli import launch; launch()", "serve"]
 
@@ -95,7 +96,7 @@ def test_a_fault_of_ours_is_a_failed_frame_and_no_end(tmp_path):
     frame = LiveFrame("f", 0, 0, (), lambda: 1 / 0)
 
     class Context:
-        site = __import__("stereo_ore.types", fromlist=["Site"]).Site()
+        site = Site()
 
     record = json.loads(Processor(Context(), FrameFiles(tmp_path))(frame).record)
     assert (record["status"], record["reasons"][0]["code"], record["targets"]) == ("failed", "INTERNAL_ERROR", [])
