@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stereo_ore.errors import MissingExtraError
+from stereo_ore.figures import new_figure
 from stereo_ore.transforms import frame_from_normal
 from stereo_ore.types import F64, U8, Bars, FrameResult, Grizzly, Ore, Surface
 
@@ -45,7 +45,8 @@ def picture(result: FrameResult) -> U8 | None:
     if result.grizzly is None:
         return None
     screen = _Screen(result.grizzly)
-    figure, axes = _figure()
+    figure = new_figure(*INCHES, dpi=DPI)
+    axes = figure.add_subplot(projection="3d", computed_zorder=False)
     hulls = [screen.place(ore.solid.vertices) for ore in result.ores if ore.solid is not None]
     low, high = _bounds(hulls)
     if result.surface is not None:
@@ -69,19 +70,6 @@ class _Screen:
     def place(self, xyz: npt.NDArray[Any]) -> F64:
         """Camera-frame points (..., 3) in this frame."""
         return np.asarray((np.asarray(xyz, np.float64) - self.origin) @ self.axes.T)
-
-
-def _figure() -> tuple[Any, Any]:
-    """A figure outside pyplot, which keeps global state and looks for a display."""
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise MissingExtraError("matplotlib", "picture") from None
-    figure = Figure(figsize=INCHES, dpi=DPI)
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot(projection="3d", computed_zorder=False)
-    return figure, axes
 
 
 def _bounds(hulls: Sequence[F64]) -> tuple[F64, F64]:

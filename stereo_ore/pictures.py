@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stereo_ore.errors import MissingExtraError, OutputError
+from stereo_ore.figures import new_figure, save_figure
 from stereo_ore.types import Mask
 
 SHOWN = 60_000
@@ -42,7 +42,7 @@ def outlier_factors(xyz: Array, score: Array, path: Path) -> None:
     circles = {"s": size * LARGEST_CIRCLE, "facecolors": "none", "edgecolors": NOISE, "linewidths": 0.5}
     axes.scatter(xyz[rows, across], xyz[rows, up], **circles)
     axes.set_title("outlier factor: the larger the circle, the more likely noise")
-    save(figure, path)
+    save_figure(figure, path)
 
 
 def side_by_side(xyz: Array, keeps: Mapping[str, Mask], path: Path) -> None:
@@ -64,7 +64,7 @@ def side_by_side(xyz: Array, keeps: Mapping[str, Mask], path: Path) -> None:
         colours = np.where(keep[rows], SURFACE, NOISE)
         axes.scatter(xyz[rows, across], xyz[rows, up], s=np.where(keep[rows], 0.5, 2.0), c=colours, linewidths=0)
         axes.set_title(f"{title}: {int((~keep).sum()):,} of {len(keep):,} removed")
-    save(figure, path)
+    save_figure(figure, path)
 
 
 def _shown(xyz: Array) -> npt.NDArray[np.int64]:
@@ -89,31 +89,12 @@ def panels(count: int, maps: bool = True) -> tuple[Any, list[Any]]:
     MissingExtraError
         When matplotlib is not installed.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise MissingExtraError("matplotlib", "pictures") from None
     columns = min(count, 3)
     lines = -(-count // columns)
-    figure = Figure(figsize=(5 * columns, 5.5 * lines), dpi=130, layout="constrained")
+    figure = new_figure(5 * columns, 5.5 * lines, dpi=130, layout="constrained")
     all_axes = list(figure.subplots(lines, columns, squeeze=False).ravel())
     for axes in all_axes if maps else all_axes[count:]:
         axes.set_axis_off()
     for axes in all_axes if maps else ():
         axes.set_aspect("equal")
     return figure, all_axes[:count]
-
-
-def save(figure: Any, path: Path) -> None:
-    """Write a figure in the format its name says.
-
-    Raises
-    ------
-    OutputError
-        When it can't be written.
-    """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path)
-    except (OSError, ValueError) as fault:
-        raise OutputError(f"picture can't be written: {fault}", file=path) from None

@@ -108,7 +108,8 @@ def _mean_cost(method: str, params: dict[str, Any], clouds: Sequence[LabelledClo
 
 def plot(tuned: Tuned, path: Path) -> None:
     """Draw the cost along each parameter; the dot is the value taken."""
-    from stereo_ore.pictures import panels, save
+    from stereo_ore.figures import save_figure
+    from stereo_ore.pictures import panels
 
     figure, axes = panels(len(tuned.curves), maps=False)
     for ax, (name, curve) in zip(axes, tuned.curves.items(), strict=True):
@@ -118,4 +119,4 @@ def plot(tuned: Tuned, path: Path) -> None:
         ax.set_xlabel(name)
         ax.set_ylabel("cost")
     figure.suptitle(f"{tuned.method}: cost {tuned.cost:.4f}")
-    save(figure, path)
+    save_figure(figure, path)

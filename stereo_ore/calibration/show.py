@@ -9,6 +9,7 @@ import numpy as np
 
 from stereo_ore.calibration.geometry import rotation_vector
 from stereo_ore.config import MatchingConfig
+from stereo_ore.figures import new_figure, save_figure
 from stereo_ore.rectify import Maps, make_rectifier
 from stereo_ore.types import CameraModel, Rig, StereoCalibration
 
@@ -64,19 +65,15 @@ def field_of_view(rig: Rig) -> tuple[float, float]:
 
 def draw(calibration: StereoCalibration, path: Path) -> None:
     """Write a PNG: how far rectification moves the pixels of each eye, depth noise, and the view from above."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     rectifier = make_rectifier(calibration)
-    figure = Figure(figsize=(11, 7.5), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(11, 7.5, layout="constrained")
     axes = figure.subplots(2, 2)
     for axis, name, maps in zip(axes[0], ("left", "right"), (rectifier.left, rectifier.right), strict=True):
         _draw_movement(axis, name, maps, rectifier.rig)
     _draw_noise(axes[1, 0], rectifier.rig)
     _draw_view(axes[1, 1], rectifier.rig)
     figure.suptitle(f"{calibration.camera or 'calibration'}: {1000 * rectifier.rig.baseline_m:.1f} mm baseline")
-    figure.savefig(path, dpi=100, metadata={"Software": None})
+    save_figure(figure, path, dpi=100)
 
 
 def _draw_movement(axis: Axes, name: str, maps: Maps | None, rig: Rig) -> None:

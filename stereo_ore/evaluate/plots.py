@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from stereo_ore.figures import new_figure, save_figure
+
 ACROSS = {
     "distance_mm": "distance of the lump [mm]",
     "size_mm": "longest dimension [mm]",
@@ -18,12 +20,8 @@ LIMITS = {"iou": 1.0, "cog_rel": 0.4, "volume": 1.0}
 
 def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
     """Write a PNG with a dot for every lump that had to be found; oversize lumps are filled."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     lumps = [lump for row in rows for lump in row["lumps"]]
-    figure = Figure(figsize=(12, 9), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(12, 9, layout="constrained")
     axes = figure.subplots(len(UP), len(ACROSS), sharex="col", sharey="row")
     for i, (y, y_label) in enumerate(UP.items()):
         for j, (x, x_label) in enumerate(ACROSS.items()):
@@ -33,7 +31,7 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
             if i == len(UP) - 1:
                 axes[i, j].set_xlabel(x_label)
     figure.suptitle(f"{len(rows)} scenes, {len(lumps)} lumps that had to be found (filled: oversize)")
-    figure.savefig(path, dpi=110, metadata={"Software": None})
+    save_figure(figure, path, dpi=110)
 
 
 def _scatter(axis: Any, lumps: Sequence[dict[str, Any]], x: str, y: str) -> None:
