@@ -135,3 +135,24 @@ def test_equal_input_gives_equal_bytes() -> None:
     assert [a.point.tobytes() + a.direction.tobytes() for a in one] == [
         b.point.tobytes() + b.direction.tobytes() for b in other
     ]
+
+
+@given(seed=st.integers(0, 10_000))
+@settings(deadline=None, max_examples=15)
+def test_no_surface_breaks_it(seed: int) -> None:
+    """Random labels over random depths with holes: whatever comes out is finite."""
+    rng = np.random.default_rng(seed)
+    view = look_down([FLAT_TOP], float(rng.uniform(45, 89)))
+    labels = np.zeros_like(view.ore_map.labels)
+    for number in range(1, int(rng.integers(2, 9))):
+        (v, u), (h, w) = rng.integers(0, (470, 630)), rng.integers(1, 120, 2)
+        labels[v : v + h, u : u + w] = number
+    xyz = view.surface.xyz * rng.uniform(0.5, 2.0, (480, 640, 1)).astype(np.float32) ** int(rng.integers(0, 2))
+    xyz[rng.random((480, 640)) < rng.uniform(0, 1)] = np.nan
+    wild = replace(view, surface=replace(view.surface, xyz=xyz), ore_map=replace(view.ore_map, labels=labels))
+    found = solids(wild.surface, wild.ore_map, wild.grizzly, SolidConfig())
+    for solid, plan in zip(found, plans(wild.surface, wild.ore_map, found, wild.grizzly, SITE, CONFIG), strict=True):
+        assert plan.strikes or plan.reasons
+        assert all(np.isfinite([*strike.point, *strike.direction, strike.score]).all() for strike in plan.strikes)
+        if solid is not None:
+            assert np.isfinite([*solid.centre_of_gravity, *solid.sigma_m, *solid.size_m, *solid.volume_bounds_m3]).all()
