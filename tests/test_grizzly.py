@@ -3,7 +3,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from screens import DISTANCE, OPENING, PITCH, RIG, WIDTH, Screen, draw
 
@@ -40,7 +40,7 @@ def assert_found(found: Grizzly, screen: Screen, angle: float = 0.6, height: flo
     st.integers(0, 1000),
     st.sampled_from([(), COVERED]),
 )
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate])
 def test_finds_tilted_and_covered_screens(tilt, yaw, seed, lumps):
     screen = Screen(tilt=tilt, yaw=yaw, lumps=lumps, noise_px=0.15, seed=seed)
     found = grizzly.find(draw(screen)[0], KNOWN, CONFIG)

@@ -1,7 +1,7 @@
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from screens import OPENING, RIG, WIDTH, Screen, draw
 
@@ -37,7 +37,7 @@ def overlaps(found: np.ndarray, truth: np.ndarray) -> list[float]:
 
 
 @given(st.floats(-0.3, 0.3), st.floats(0, np.pi), st.integers(0, 100), st.sampled_from([0.05, 0.15]))
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12, deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate])
 def test_outlines_of_lumps_that_lie_apart(tilt, yaw, seed, noise):
     ores, truth = segmented(Screen(tilt=tilt, yaw=yaw, lumps=APART, half=0.6, noise_px=noise, seed=seed))
     assert ores.labels.max() == 3

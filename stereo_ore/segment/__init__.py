@@ -22,6 +22,8 @@ __all__ = ["segment"]
 
 REACHES = (16, 8, 4)
 """Half lengths of the chords that look for valleys, as fractions 1/n of the opening."""
+NOT_BELOW = 0.2
+"""Relief [thresholds] down to which a point between two bars is not below their tops."""
 REACH_WEIGHTS = (1.0, 1.0, 1.3)
 
 
@@ -84,22 +86,41 @@ def look(surface: Surface, grizzly: Grizzly, config: SegmentConfig) -> View:
     relief = measure_relief(surface, grizzly)
     threshold = threshold_px(relief, grizzly.opening_m, config)
     opening = grizzly.opening_m or config.default_opening_m
-    raw, clearance = relief.px.copy(), None
-    inside = np.ones(raw.shape, np.float32)
-    if grizzly.bars is not None:
-        clearance = bar_clearance(surface, grizzly.bars)
-        frame = find_frame(surface, relief, grizzly, grizzly.bars)
-        c, s = bar_coordinates(surface, grizzly.bars, 1)
-        tolerance = np.maximum(3 * surface.sigma_z, np.float32(0.05 * opening))
-        raw[frame.covers(c, s, relief.height_m, tolerance)] = 0
-        inside = np.nan_to_num(np.clip(frame.inside(c, s) / opening, -1, 1), nan=0.0)
+    raw, on_bar, between, inside = _place(surface, grizzly, relief, -NOT_BELOW * threshold, opening)
     px = fill_occlusions(raw)
     grey = np.asarray(cv2.cvtColor(surface.bgr, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
-    evidence = ore_evidence(px, clearance, threshold, bar_margin(relief, grizzly))
     size = opening / relief.pixel_m
-    mask = ore_mask(evidence, grey, config, (config.least_part * size) ** 2)
-    on_bar = np.zeros_like(mask) if clearance is None else np.nan_to_num(clearance, nan=1.0) < 0
+    mask = ore_mask(ore_evidence(px, between, threshold), grey, config, (config.least_part * size) ** 2)
     return View(px, raw, grey, surface.bgr, mask, on_bar, inside, edges(grey, mask), relief, threshold, size)
+
+
+def _place(
+    surface: Surface, grizzly: Grizzly, relief: Relief, least: float, opening: float
+) -> tuple[F32, Mask, Mask, F32]:
+    """Where points higher than `least` [px] are on the screen.
+
+    Returns
+    -------
+    tuple
+        Relief with the frame set to 0, points over a bar, points well between bars, and how far points are from the
+        screen's sides [openings, −1…1], all (h, w).
+    """
+    raw = relief.px.copy()
+    on_bar, between = np.zeros(raw.shape, np.bool_), np.zeros(raw.shape, np.bool_)
+    if (bars := grizzly.bars) is None:
+        return raw, on_bar, between, np.ones(raw.shape, np.float32)
+    high = raw > least
+    frame = find_frame(surface, relief, grizzly, bars)
+    c, s = bar_coordinates(surface.xyz[high], bars)
+    tolerance = np.maximum(3 * surface.sigma_z[high], np.float32(0.05 * opening))
+    steel = frame.covers(c, s, relief.height_m[high], tolerance)
+    clearance = bar_clearance(c, bars)
+    raw[high] = np.where(steel, 0, raw[high])
+    on_bar[high] = clearance < 0
+    between[high] = (clearance > bar_margin(relief, grizzly)) & ~steel
+    inside = np.zeros(raw.shape, np.float32)
+    inside[high] = np.clip(frame.inside(c, s) / opening, -1, 1)
+    return raw, on_bar, between, inside
 
 
 def band_px(view: View, config: SegmentConfig) -> int:

@@ -23,25 +23,23 @@ def threshold_px(relief: Relief, opening_m: float | None, config: SegmentConfig)
     return max(config.sigmas * relief.sigma_px, least)
 
 
-def ore_evidence(px: F32, clearance_m: F32 | None, threshold: float, margin_m: float) -> F32:
+def ore_evidence(px: F32, between: Mask, threshold: float) -> F32:
     """Evidence of ore at each pixel; 1 is a relief of just the threshold.
 
     Parameters
     ----------
     px : (h, w) float32
         Relief [px], 0 on the frame; NaN, where nothing was matched, speaks against ore.
-    clearance_m : (h, w) float32 or None
-        Distance from the nearest bar [m]. What lies well between two bars and not below their tops is ore too.
+    between : (h, w) mask
+        What lies well between two bars and not below their tops: that is ore too.
     threshold : float
         Relief that stands out [px].
-    margin_m : float
-        Clearance that counts as well between [m].
     """
-    evidence = np.clip(np.nan_to_num(px / np.float32(threshold), nan=LEAST), LEAST, MOST)
-    if clearance_m is not None:
-        between = (np.nan_to_num(clearance_m, nan=-1.0) > margin_m) & (px != 0) & (px > -0.2 * threshold)
-        evidence[between] = np.maximum(evidence[between], BETWEEN_BARS)
-    return np.asarray(evidence, dtype=np.float32)
+    evidence = px / np.float32(threshold)
+    evidence[np.isnan(px)] = LEAST
+    np.clip(evidence, LEAST, MOST, out=evidence)
+    evidence[between] = np.maximum(evidence[between], BETWEEN_BARS)
+    return evidence
 
 
 def ore_mask(evidence: F32, grey: U8, config: SegmentConfig, area: float) -> Mask:

@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from stereo_ore.segment.relief import Relief, bar_coordinates, ray_coordinates
 from stereo_ore.types import F32, F64, Bars, Grizzly, Mask, Surface
 
 CELLS_PER_BAR = 2
 """Cells of the plan view across a bar's width."""
+I64 = npt.NDArray[np.int64]
 PLAN_PIXELS = 100_000
 """Pixels looked at."""
 CLOSED = 0.5
@@ -29,8 +31,8 @@ class Side:
 
     def at(self, coordinate: F32) -> F32:
         """Height of the frame at these coordinates; NaN where there is none. Beyond the ends it is the outermost."""
-        index = np.nan_to_num((coordinate - self.low) / self.cell, nan=0.0)
-        return np.asarray(self.height[np.clip(index, 0, len(self.height) - 1).astype(np.intp)], dtype=np.float32)
+        index = np.clip((coordinate - self.low) / self.cell, 0, len(self.height) - 1).astype(np.intp)
+        return np.asarray(self.height.astype(np.float32)[index], dtype=np.float32)
 
     @property
     def inner(self) -> tuple[float, float]:
@@ -52,7 +54,7 @@ class Frame:
         return np.asarray(near[0] | near[1], dtype=np.bool_)
 
     def inside(self, c: F32, s: F32) -> F32:
-        """Distance [m] of points from the nearest side, negative outside; NaN where there is no point."""
+        """Distance [m] of points from the nearest side, negative outside."""
         depth = [np.minimum(x - side.inner[0], side.inner[1] - x) for side, x in zip(self.sides, (c, s), strict=True)]
         return np.asarray(np.minimum(depth[0], depth[1]), dtype=np.float32)
 
@@ -70,7 +72,7 @@ def find_frame(surface: Surface, relief: Relief, grizzly: Grizzly, bars: Bars) -
     if not closed.any():
         none = Side(0.0, 1.0, np.array([np.nan]))
         return Frame((none, none))
-    point, ray = bar_coordinates(surface, bars, step), ray_coordinates(surface, grizzly, bars, step)
+    point, ray = bar_coordinates(surface.xyz[::step, ::step], bars), ray_coordinates(surface, grizzly, bars, step)
     cell = bars.width_m / CELLS_PER_BAR
     plan = [_cells(np.where(closed, p, r), p[closed], cell) for p, r in zip(point, ray, strict=True)]
     inside = np.logical_and.reduce([(index >= 0) & (index < count) for index, _, count in plan])
@@ -79,13 +81,23 @@ def find_frame(surface: Surface, relief: Relief, grizzly: Grizzly, bars: Bars) -
     seen = np.bincount(i * shape[1] + j, minlength=shape[0] * shape[1]).reshape(shape)
     full = np.bincount(i * shape[1] + j, closed[inside], shape[0] * shape[1]).reshape(shape)
     reach = int(np.ceil((bars.pitch_m - bars.width_m) / cell))
+    occupied, visible = full * 2 > seen, seen > 0
+    low = height[inside] < -bars.width_m / 4
     sides = []
-    for axis, row in enumerate((i, j)):
-        share = (full * 2 > seen).sum(1 - axis) / np.maximum((seen > 0).sum(1 - axis), 1)
+    for axis, (row, other) in enumerate(((i, j), (j, i))):
+        through = _span(other[low], shape[1 - axis])
+        share = np.take(occupied, through, 1 - axis).sum(1 - axis)
+        share = share / np.maximum(np.take(visible, through, 1 - axis).sum(1 - axis), 1)
         at_row = row[closed[inside]]
         heights = _row_heights(share >= CLOSED, at_row, height[inside & closed], reach, cell)
         sides.append(Side(plan[axis][1], cell, heights))
     return Frame((sides[0], sides[1]))
+
+
+def _span(cells: I64, count: int) -> I64:
+    """The cells between the outermost ones through which one sees; all when one sees through none."""
+    low, high = np.percentile(cells, (2, 98)).astype(int) if len(cells) else (0, count - 1)
+    return np.arange(low, high + 1)
 
 
 def _cells(coordinate: F32, of_points: F32, cell: float) -> tuple[F32, float, int]:

@@ -13,6 +13,8 @@ import numpy as np
 
 from stereo_ore.types import F32, F64, Bars, Grizzly, Surface
 
+SAMPLED = 60_000
+"""Pixels that the middle depth and the noise are taken from."""
 OCCLUSION_SLACK, OCCLUSION_EXTRA = 1.3, 2
 """A half occlusion is as wide as the step in disparity beside it; a matcher makes it a little wider [factor, px]."""
 
@@ -39,10 +41,15 @@ def measure_relief(surface: Surface, grizzly: Grizzly) -> Relief:
     focal_baseline = rig.fx * rig.baseline_m
     z = surface.xyz[..., 2]
     px = np.float32(focal_baseline) / z - _plane_disparity(surface, plane.normal, plane.offset)
-    valid = np.isfinite(z)
-    middle = float(np.median(z[valid]))
-    sigma = float(np.median(surface.sigma_z[valid] / z[valid] ** 2)) * focal_baseline
-    height = surface.xyz @ plane.normal.astype(np.float32) - np.float32(plane.offset)
+    # n·p − offset, with p on a ray whose plane depth is known: −offset · (disparity over the plane) / disparity.
+    height = px * z * np.float32(-plane.offset / focal_baseline)
+    step = max(1, round(np.sqrt(z.size / SAMPLED)))
+    valid = np.isfinite(z[::step, ::step])
+    if not valid.any():
+        step, valid = 1, np.isfinite(z)
+    some, sigma_z = z[::step, ::step][valid], surface.sigma_z[::step, ::step][valid]
+    middle = float(np.median(some))
+    sigma = float(np.median(sigma_z / some**2)) * focal_baseline
     return Relief(px, height, sigma, middle / rig.fx, focal_baseline / middle**2)
 
 
@@ -54,9 +61,8 @@ def _plane_disparity(surface: Surface, normal: F64, offset: float) -> F32:
     return np.asarray(across[None, :] + down[:, None], dtype=np.float32)
 
 
-def bar_coordinates(surface: Surface, bars: Bars, step: int) -> tuple[F32, F32]:
-    """Coordinates of every `step`-th point across and along the bars [m], NaN where there is no point."""
-    xyz = surface.xyz[::step, ::step]
+def bar_coordinates(xyz: F32, bars: Bars) -> tuple[F32, F32]:
+    """Coordinates across and along the bars [m] of points (..., 3)."""
     across = xyz @ bars.across.astype(np.float32) - np.float32(bars.phase_m)
     return across, xyz @ bars.direction.astype(np.float32)
 
@@ -71,11 +77,12 @@ def ray_coordinates(surface: Surface, grizzly: Grizzly, bars: Bars, step: int) -
     return across, ray @ bars.direction.astype(np.float32) * distance
 
 
-def bar_clearance(surface: Surface, bars: Bars) -> F32:
-    """Distance [m] of each point from the nearest bar's edge, negative over a bar, NaN where there is no point."""
-    across, _ = bar_coordinates(surface, bars, 1)
+def bar_clearance(across: F32, bars: Bars) -> F32:
+    """Distance [m] from the nearest bar's edge, negative over a bar, of coordinates across the bars [m]."""
     pitch = np.float32(bars.pitch_m)
-    return np.abs(across - pitch * np.round(across / pitch)) - np.float32(bars.width_m / 2)
+    return np.asarray(
+        np.abs(across - pitch * np.round(across / pitch)) - np.float32(bars.width_m / 2), dtype=np.float32
+    )
 
 
 def fill_occlusions(px: F32) -> F32:

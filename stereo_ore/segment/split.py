@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy import ndimage
 
 from stereo_ore.types import F32, I32, Mask
 
@@ -76,7 +75,9 @@ class Cores:
 
 def _descend(thickness: F32, found: Cores, level: float, ratio: float) -> Cores:
     """The cores one level lower: new ones appear, known ones grow, thin ones join the thicker they meet."""
-    count, found_parts = cv2.connectedComponents((thickness > level).astype(np.uint8), connectivity=4)
+    count, found_parts, stats, _ = cv2.connectedComponentsWithStats(
+        (thickness > level).astype(np.uint8), connectivity=4
+    )
     parts = np.asarray(found_parts, dtype=np.int32)
     peaks, places = list(found.peaks), list(found.places)
     members: list[list[int]] = [[] for _ in range(count)]
@@ -85,11 +86,9 @@ def _descend(thickness: F32, found: Cores, level: float, ratio: float) -> Cores:
             members[parts[places[label]]].append(int(label))
     into = np.arange(len(peaks), dtype=np.int32)
     fill = np.zeros(count, np.int32)
-    if not all(members[1:]):
-        tops = ndimage.maximum_position(thickness, parts, np.arange(1, count))
     for part in range(1, count):
         if not members[part]:
-            place = int(tops[part - 1][0]), int(tops[part - 1][1])
+            place = _thickest(thickness, parts, part, stats[part])
             peaks.append(float(thickness[place]))
             places.append(place)
             fill[part] = len(peaks) - 1
@@ -101,6 +100,14 @@ def _descend(thickness: F32, found: Cores, level: float, ratio: float) -> Cores:
             fill[part] = thickest
     grown = fill[parts]
     return Cores(np.where(grown > 0, grown, into[found.labels]), peaks, places)
+
+
+def _thickest(thickness: F32, parts: I32, part: int, stats: I32) -> tuple[int, int]:
+    """Row and column of the greatest thickness in a part, given its box in OpenCV's statistics."""
+    x, y, w, h = (int(value) for value in stats[:4])
+    box = np.s_[y : y + h, x : x + w]
+    row, column = divmod(int(np.argmax(np.where(parts[box] == part, thickness[box], 0))), w)
+    return y + row, x + column
 
 
 def long_parts(barrier: Mask, length: float) -> Mask:
