@@ -122,5 +122,8 @@ def test_the_command_sends_at_the_given_rate_and_withdraws_at_the_end(tmp_path):
     assert of_frames[-1][1]["frame"] == "000004"
     between = (of_frames[-1][0] - of_frames[0][0]) / max(1, of_frames[-1][1]["index"] - of_frames[0][1]["index"])
     assert between == pytest.approx(0.2, abs=0.08)
-    assert [line["status"] for _, line in messages[-2:]] == ["expired", "stopped"]
+    withdrawn_at, withdrawn = messages[len(of_frames)]
+    assert not withdrawn["valid"]
+    assert withdrawn_at - of_frames[-1][0] == pytest.approx(1.0, abs=0.3), "the last targets run out as they would have"
+    assert messages[-1][1]["status"] == "stopped"
     assert all(line["replay"] for _, line in messages)
