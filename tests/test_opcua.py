@@ -6,6 +6,7 @@ Run as a program this file is that client: it prints a JSON line for every messa
 import json
 import math
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -223,6 +224,19 @@ def check_stream(sink: OpcUaSink, count: int) -> list[float]:
 
 def test_a_client_in_another_process_sees_every_message_whole_and_in_order(sink):
     check_stream(sink, 300)
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="POSIX only")
+def test_a_client_that_hangs_delays_nobody(sink, connection):
+    with start_client(sink.url, 10**6, 60) as process:
+        process.send_signal(signal.SIGSTOP)
+        times = [publish(sink, make_message(sequence, ores=16)) for sequence in range(1, 301)]
+        assert read(connection, "Result", "Sequence") == 300
+        process.kill()
+        process.communicate()
+    assert median(times) < 0.05
+    assert max(times) < 2
+    wait_for(lambda: sink.state().consumers == 1, what="farewell")
 
 
 @pytest.mark.slow
