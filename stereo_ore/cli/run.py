@@ -80,7 +80,9 @@ def run(
         raise SourceError(f"has {len(recording.names)} frames, none of them selected", file=recording.path)
     _announce(place, len(indices))
     job = batch.Job(recording, context, FrameFiles(out, save_stages), strict)
-    description = _description(recording, indices, context, {"calib": calib, "site": site, "config": config})
+    description = _description(
+        recording, indices, context, {"calib": calib, "site": site, "config": config, "background": place.background}
+    )
     with RunFolder(out, description, resume=resume, overwrite=overwrite) as folder:
         _write_inputs(out, context, site)
         todo = indices[folder.done :]
