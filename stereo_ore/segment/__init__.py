@@ -58,7 +58,8 @@ def segment(surface: Surface, grizzly: Grizzly, volume: Volume | None, config: S
     grizzly : Grizzly
         The screen; its bars, when known, tell steel from ore between bars.
     volume : Volume or None
-        The working volume that the surface was cropped to.
+        The working volume that the surface was cropped to. Without one, what lies more than an opening beside the
+        screen is no ore.
     config : SegmentConfig
         Thresholds.
 
@@ -69,7 +70,7 @@ def segment(surface: Surface, grizzly: Grizzly, volume: Volume | None, config: S
     """
     if not np.isfinite(surface.xyz[..., 2]).any():
         return _ore_map(surface, np.zeros(surface.sigma_z.shape, np.int32), {"parts": 0})
-    view = look(surface, grizzly, config)
+    view = look(surface, grizzly, config, bounded=volume is not None)
     labels = np.zeros(view.mask.shape, np.int32)
     counts = dict.fromkeys(("parts", "dropped_small", "dropped_unlike"), 0)
     for box, heap in _heaps(view.mask, band_px(view, config)):
@@ -81,8 +82,8 @@ def segment(surface: Surface, grizzly: Grizzly, volume: Volume | None, config: S
     return _ore_map(surface, numbered, counts)
 
 
-def look(surface: Surface, grizzly: Grizzly, config: SegmentConfig) -> View:
-    """What segmentation looks at, of the whole crop."""
+def look(surface: Surface, grizzly: Grizzly, config: SegmentConfig, bounded: bool = True) -> View:
+    """What segmentation looks at, of the whole crop; `bounded` when a working volume has cropped it."""
     relief = measure_relief(surface, grizzly)
     threshold = threshold_px(relief, grizzly.opening_m, config)
     opening = grizzly.opening_m or config.default_opening_m
@@ -90,6 +91,8 @@ def look(surface: Surface, grizzly: Grizzly, config: SegmentConfig) -> View:
     px = fill_occlusions(raw)
     grey = np.asarray(cv2.cvtColor(surface.bgr, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
     size = opening / relief.pixel_m
+    if not bounded:
+        px = np.where(inside > -1, px, np.float32(0))
     mask = ore_mask(ore_evidence(px, between, threshold), grey, config, (config.least_part * size) ** 2)
     return View(px, raw, grey, surface.bgr, mask, on_bar, inside, edges(grey, mask), relief, threshold, size)
 

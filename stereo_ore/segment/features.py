@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
+from stereo_ore.segment import weights
 from stereo_ore.types import F32, F64, I32, U8, Mask
 
 CHORDS, STATIONS = 16, 8
@@ -61,7 +62,7 @@ def pair_features(scene: Scene, labels: I32) -> tuple[I32, F64]:
     )
     pairs, length, means = borders(labels, maps)
     if not len(pairs):
-        return pairs, np.zeros((0, 13))
+        return pairs, np.zeros((0, len(weights.PAIR)))
     a, b = pairs.T
     area, mean_relief, mean_edge, *colour = (
         _label_means(labels, x) for x in (None, scene.relief, scene.edge, *np.moveaxis(scene.colour, -1, 0))
