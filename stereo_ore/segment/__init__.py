@@ -151,7 +151,9 @@ def _segment_heap(view: View, config: SegmentConfig) -> tuple[I32, dict[str, int
     """Lumps of one heap."""
     coarse = _shrunk(view, max(1, int(view.opening_px / config.opening_px)))
     scene, parts = oversegment(coarse, config)
-    lumps, dropped = _select(scene, filled(merge_parts(scene, parts, config.merge_probability)), coarse, config)
+    lumps, dropped = _select(
+        scene, filled(merge_parts(scene, parts, config.merge_probability)), coarse, view.relief.pixel_m, config
+    )
     tally = {"parts": int(len(np.unique(parts)) - 1)} | dropped
     if coarse is view:
         return lumps, tally
@@ -204,12 +206,16 @@ def oversegment(view: View, config: SegmentConfig) -> tuple[Scene, I32]:
     return scene, parts
 
 
-def _select(scene: Scene, labels: I32, view: View, config: SegmentConfig) -> tuple[I32, dict[str, int]]:
+def _select(
+    scene: Scene, labels: I32, view: View, full_pixel_m: float, config: SegmentConfig
+) -> tuple[I32, dict[str, int]]:
     """Lumps numbered anew, and how many parts were dropped for being small or unlike a lump."""
     area = np.bincount(labels.ravel())
     present = area > 0
     present[0] = False
-    large = present & (area >= (config.min_size_m / view.relief.pixel_m) ** 2)
+    shrink = view.relief.pixel_m / full_pixel_m
+    least = max((config.min_size_m / view.relief.pixel_m) ** 2, config.min_pixels / shrink**2)
+    large = present & (area >= least)
     likely = large & (lump_probability(scene, labels) > config.lump_probability)
     dropped = {"dropped_small": int((present & ~large).sum()), "dropped_unlike": int((large & ~likely).sum())}
     return renumbered(labels, likely), dropped
