@@ -56,7 +56,7 @@ class VoxelConfig(StageConfig):
     """The voxel grid."""
 
     size_m: float | Literal["auto"] = param("auto", "edge of a voxel; auto: `pixels` × pixel size at the screen", "m")
-    pixels: float = param(2.4, "edge of an automatic voxel in pixels at the middle of the scene", "px", gt=0)
+    pixels: float = param(3.4, "edge of an automatic voxel in pixels at the middle of the scene", "px", gt=0)
 
 
 class FilterConfig(StageConfig):
