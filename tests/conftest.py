@@ -9,6 +9,8 @@ flat_plane_pair  a textured tilted plane as a rectified pair with exact disparit
 """
 
 import importlib.util
+import os
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
@@ -19,6 +21,9 @@ import pytest
 
 from stereo_ore import synth
 from stereo_ore.types import F32, F64, RectifiedPair, Rig
+
+# Tests run the command that is installed beside this Python, also when its environment is not activated.
+os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 

@@ -87,7 +87,7 @@ def test_the_automatic_size_follows_the_middle_depth_in_steps() -> None:
     near, far = (cloud_of(random_points(3) * s) for s in (1.0, 2.0))
     sizes = [voxel_size(VoxelConfig(), RIG, None, c) for c in (near, far)]
     assert sizes[1] == pytest.approx(2 * sizes[0], rel=0.02)
-    assert sizes[0] == pytest.approx(2.4 * np.median(near.xyz[:, 2]) / RIG.fx, abs=0.0003)
+    assert sizes[0] == pytest.approx(VoxelConfig().pixels * np.median(near.xyz[:, 2]) / RIG.fx, abs=0.0003)
     assert sizes[0] == pytest.approx(round(sizes[0] / 0.0005) * 0.0005)
     shaken = replace(near, xyz=(near.xyz * np.float32(1.0005)))
     assert voxel_size(VoxelConfig(), RIG, None, shaken) == sizes[0]
@@ -96,5 +96,7 @@ def test_the_automatic_size_follows_the_middle_depth_in_steps() -> None:
 def test_sizes_without_points_and_given_sizes() -> None:
     volume = Volume(np.eye(4), np.array([-1.0, -1.0, 1.0]), np.array([1.0, 1.0, 3.0]))
     assert voxel_size(VoxelConfig(size_m=0.007), RIG, volume, cloud_of(np.zeros((0, 3)))) == 0.007
-    assert voxel_size(VoxelConfig(), RIG, volume, cloud_of(np.zeros((0, 3)))) == pytest.approx(2.4 * 2.0 / 50, abs=3e-4)
+    assert voxel_size(VoxelConfig(), RIG, volume, cloud_of(np.zeros((0, 3)))) == pytest.approx(
+        VoxelConfig().pixels * 2.0 / 50, abs=3e-4
+    )
     assert voxel_size(VoxelConfig(), RIG, None, cloud_of(np.zeros((0, 3)))) > 0
