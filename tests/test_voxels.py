@@ -85,12 +85,12 @@ def test_voxels_too_small_to_number_are_refused() -> None:
 
 def test_the_automatic_size_follows_the_middle_depth_in_steps() -> None:
     near, far = (cloud_of(random_points(3) * s) for s in (1.0, 2.0))
-    sizes = [voxel_size(VoxelConfig(), RIG, None, c) for c in (near, far)]
+    sizes = [voxel_size(VoxelConfig(pixels=2.4), RIG, None, c) for c in (near, far)]
     assert sizes[1] == pytest.approx(2 * sizes[0], rel=0.02)
-    assert sizes[0] == pytest.approx(VoxelConfig().pixels * np.median(near.xyz[:, 2]) / RIG.fx, abs=0.0003)
+    assert sizes[0] == pytest.approx(2.4 * np.median(near.xyz[:, 2]) / RIG.fx, abs=0.0003)
     assert sizes[0] == pytest.approx(round(sizes[0] / 0.0005) * 0.0005)
     shaken = replace(near, xyz=(near.xyz * np.float32(1.0005)))
-    assert voxel_size(VoxelConfig(), RIG, None, shaken) == sizes[0]
+    assert voxel_size(VoxelConfig(pixels=2.4), RIG, None, shaken) == sizes[0]
 
 
 def test_sizes_without_points_and_given_sizes() -> None:
