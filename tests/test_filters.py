@@ -14,6 +14,7 @@ from stereo_ore import filters, synth
 from stereo_ore.bench.labelled import bare_cloud
 from stereo_ore.config import FilterConfig
 from stereo_ore.errors import ConfigError
+from stereo_ore.filters.neighbours import nearest
 from stereo_ore.types import FilterResult
 
 METHODS = sorted(filters.METHODS)
@@ -199,3 +200,32 @@ def test_radius_is_a_count_within_a_radius() -> None:
 def test_none_keeps_all() -> None:
     xyz, _ = synth.paper_cloud(0)
     assert run(xyz, "none").keep.all()
+
+
+@given(seed=st.integers(0, 2**31), scale=st.sampled_from([1e-12, 1.0, 1e25]), queries=st.integers(1, 40))
+@settings(max_examples=20, deadline=None)
+def test_nearest_are_those_of_brute_force_with_and_without_flann(seed: int, scale: float, queries: int) -> None:
+    rng = np.random.default_rng(seed)
+    points = (rng.normal(size=(90, 3)) * scale).astype(np.float32)
+    at = (rng.normal(size=(queries, 3)) * scale).astype(np.float32)
+    every = np.linalg.norm(at[:, None].astype(float) - points, axis=2)
+    for found in (nearest(points, at, 7), _without_flann(points, at, 7)):
+        np.testing.assert_array_equal(found[0], np.argsort(every, axis=1)[:, :7])
+        np.testing.assert_allclose(found[1], np.sort(every, axis=1)[:, :7], rtol=1e-5)
+
+
+def _without_flann(points: np.ndarray, at: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delattr("cv2.flann_Index", raising=False)
+        return nearest(points, at, k)
+
+
+@given(seed=st.integers(0, 2**31), steps=st.sampled_from([2, 30, 10**6]))
+@settings(max_examples=20, deadline=None)
+def test_prepared_points_are_distinct_and_sorted_within_their_cell(seed: int, steps: int) -> None:
+    xyz = (np.random.default_rng(seed).integers(-steps, steps, (600, 3)) * 0.001).astype(np.float32)
+    points = filters.prepared(bare_cloud(xyz))[0].xyz
+    cell = filters._coarse_cell(xyz)
+    order = np.lexsort((*xyz.T[::-1], cell))
+    expected = [tuple(p) for p in xyz[order].tolist()]
+    assert [tuple(p) for p in points.tolist()] == list(dict.fromkeys(expected))

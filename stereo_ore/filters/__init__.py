@@ -81,7 +81,7 @@ def apply(voxels: VoxelCloud, config: FilterConfig) -> FilterResult:
         says about its decision.
     """
     params = parameters(config)
-    finite = np.asarray(np.isfinite(voxels.xyz).all(axis=1))
+    finite = _finite(voxels.xyz)
     order, first, group = _distinct(voxels.xyz, finite)
     keep, score = np.zeros(len(voxels), bool), np.full(len(voxels), np.inf, np.float32)
     if len(first) < 2:
@@ -97,19 +97,40 @@ def apply(voxels: VoxelCloud, config: FilterConfig) -> FilterResult:
 
 def prepared(voxels: VoxelCloud) -> tuple[VoxelCloud, npt.NDArray[np.int64]]:
     """The finite, distinct points in the order in which a method sees them, and their rows."""
-    _, first, _ = _distinct(voxels.xyz, np.asarray(np.isfinite(voxels.xyz).all(axis=1)))
+    _, first, _ = _distinct(voxels.xyz, _finite(voxels.xyz))
     return _take(voxels, first), first
+
+
+def _finite(xyz: F32) -> Mask:
+    x, y, z = np.isfinite(xyz).T
+    return np.asarray(x & y & z)
 
 
 def _distinct(xyz: F32, finite: Mask) -> tuple[npt.NDArray[np.int64], ...]:
     """Finite rows in a spatially coherent order, the first row of each place, and the place of each ordered row."""
     rows = np.flatnonzero(finite)
-    p = xyz[rows]
-    cell = _coarse_cell(p)
-    order = rows[np.lexsort((p[:, 2], p[:, 1], p[:, 0], cell))]
-    new = np.ones(len(order), bool)
-    new[1:] = (xyz[order[1:]] != xyz[order[:-1]]).any(1)
+    order = rows[_order(xyz[rows])]
+    places = xyz[order]
+    x, y, z = (places[1:] != places[:-1]).T
+    new = np.append(True, x | y | z)[: len(order)]
     return order, order[new], np.cumsum(new) - 1
+
+
+def _order(xyz: F32) -> npt.NDArray[np.int64]:
+    """Rows in the order of their coarse cell, then x, y, z, then given: as by `lexsort`, at a fraction of its time.
+
+    Cell and x are packed into one number, since few points have both in common. The bits of a float sort as those of an
+    integer once those of the negative ones are turned over.
+    """
+    bits = (xyz[:, 0] + np.float32(0)).view(np.int32)
+    ascending = np.where(bits < 0, bits ^ np.int32(2**31 - 1), bits)
+    key = (_coarse_cell(xyz) << 32) + ascending
+    order = np.argsort(key)
+    same = np.diff(key[order]) == 0
+    tied = np.flatnonzero(np.append(same, False) | np.append(False, same))
+    rows = order[tied]
+    order[tied] = rows[np.lexsort((rows, xyz[rows, 2], xyz[rows, 1], key[rows]))]
+    return order
 
 
 def _coarse_cell(xyz: F32, cells: int = 64) -> npt.NDArray[np.int64]:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from stereo_ore.filters import wide
-from stereo_ore.filters.neighbours import Neighbours, map_rows, search
+from stereo_ore.filters.neighbours import Index, Neighbours, by_neighbour, columns, map_rows, search
 from stereo_ore.filters.surface import LEAST, fit_planes, log_odds, votes
-from stereo_ore.types import CUES, F32, I32, VoxelCloud
+from stereo_ore.types import CUES, F32, VoxelCloud
 
 DENSITY_FEATURES = (
     "mean distance, K = 3", "mean distance, K = 8", "mean distance, all K", "neighbours' mean distance, mean",
@@ -33,7 +33,7 @@ class Evidence:
     """
 
     points: F32
-    index: I32
+    index: Index
     features: F32
     names: tuple[str, ...]
     prior: F32
@@ -61,9 +61,9 @@ def gather(voxels: VoxelCloud, k: int) -> Evidence:
     spacing, features = _density(neighbours)
     names: tuple[str, ...] = DENSITY_FEATURES
     if stereo:
-        features, names = np.column_stack([features, _cues(voxels)]), names + CUE_FEATURES + wide.FEATURES
+        features, names = columns(features, _cues(voxels)), names + CUE_FEATURES + wide.FEATURES
     prior = 1 - np.minimum(1, np.exp(-3 * features[:, 1]))
-    centred = ((space - np.median(space, axis=0)) / spacing).astype(np.float32)
+    centred = columns((space - np.median(space, axis=0)) / spacing)
     around = wide.survey(centred) if stereo else None
     return Evidence(centred, neighbours.index, features, (*names, *SURFACE_FEATURES), prior, around)
 
@@ -82,29 +82,27 @@ def image_space(voxels: VoxelCloud) -> F32:
 
 def _density(neighbours: Neighbours) -> tuple[float, F32]:
     distance, index = neighbours.distance, neighbours.index
-    means = np.column_stack([distance[:, :n].mean(1) for n in (3, 8, neighbours.k)])
+    means = map_rows(lambda rows: columns(*(distance[rows, :n].mean(1) for n in (3, 8, neighbours.k))), len(index))
     spacing = max(float(np.quantile(means[:, 1], 0.2)), float(np.finfo(np.float32).tiny))
     own = np.log(means / np.float32(spacing) + np.float32(LEAST))
-    middle = np.ascontiguousarray(own[:, 1])
-    chosen = (np.bincount(index.ravel(), minlength=len(index)) / neighbours.k).astype(np.float32)
+    chosen = (np.bincount(index.ravel("K"), minlength=len(index)) / neighbours.k).astype(np.float32)
 
     def around(rows: slice) -> F32:
-        d = middle[index[rows]]
-        return np.column_stack(
-            [d.mean(1), d.min(1), d.std(1), np.log(chosen[rows] + LEAST), chosen[index[rows]].mean(1)]
-        )
+        near = by_neighbour(index, rows)
+        d = own[:, 1].take(near)
+        return columns(d.mean(0), d.min(0), d.std(0), np.log(chosen[rows] + LEAST), chosen.take(near).mean(0))
 
-    return spacing, np.column_stack([own, map_rows(around, len(index))]).astype(np.float32)
+    return spacing, columns(own, map_rows(around, len(index)))
 
 
 def _cues(voxels: VoxelCloud) -> F32:
     """Logarithms of the cues (the valid share as it is), of the points behind a voxel over those it has room for."""
     floors = {"spread_px": 0.05, "lr_diff_px": 0.03, "texture": 0.3, "photometric": 0.03, "median_diff_px": 0.03}
-    columns = [voxels.cues["valid_share"]]
-    columns += [np.log(np.maximum(voxels.cues[name], 0) + floors[name]) for name in CUES[1:]]
+    cues = [voxels.cues["valid_share"]]
+    cues += [np.log(np.maximum(voxels.cues[name], 0) + floors[name]) for name in CUES[1:]]
     room = (voxels.size_m / voxels.pixel_m) ** 2
-    columns += [np.log(voxels.count / room), np.log(room) / 2, np.log(voxels.sigma_z / voxels.size_m)]
-    return np.nan_to_num(np.column_stack(columns), nan=0.0, posinf=0.0, neginf=0.0).astype(np.float32)
+    cues += [np.log(voxels.count / room), np.log(room) / 2, np.log(voxels.sigma_z / voxels.size_m)]
+    return np.nan_to_num(columns(*cues), nan=0.0, posinf=0.0, neginf=0.0)
 
 
 def features(evidence: Evidence, noise: F32) -> F32:
@@ -115,5 +113,5 @@ def features(evidence: Evidence, noise: F32) -> F32:
         parts.append(wide.features(points, evidence.surroundings, noise))
     planes = fit_planes(points, index, weight, points)
     odds = log_odds(noise)
-    around = map_rows(lambda rows: odds[index[rows]].mean(1), len(odds))
-    return np.column_stack([*parts, planes.shape, votes(points, index, weight, planes, points), odds, around])
+    around = map_rows(lambda rows: odds.take(by_neighbour(index, rows)).mean(0), len(odds))
+    return columns(*parts, planes.shape, votes(points, index, weight, planes, points), odds, around)

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from stereo_ore.filters.neighbours import chunks
+from stereo_ore.filters.neighbours import chunks, map_rows
 from stereo_ore.types import F32
 
-SMALL = 256
+SMALL = 128
 """Rows of a matrix product: few enough that the linear algebra library doesn't start threads, which cost far more."""
 
 
@@ -41,11 +41,12 @@ class Network:
         out = np.array(self.output_weights, np.float32)
 
         def rows(part: slice) -> F32:
-            hidden = np.maximum(features[part] @ weights + bias, 0)
-            logit = np.clip(hidden @ out + np.float32(self.output_bias), -30, 30)
-            return np.asarray(1 / (1 + np.exp(-logit)), np.float32)
+            block = features[part]
+            hidden = np.concatenate([block[few] @ weights for few in chunks(len(block), SMALL)])
+            logit = np.einsum("ij,j->i", np.maximum(hidden + bias, 0), out) + np.float32(self.output_bias)
+            return np.asarray(1 / (1 + np.exp(-np.clip(logit, -30, 30))), np.float32)
 
-        return np.concatenate([rows(part) for part in chunks(len(features), SMALL)])
+        return map_rows(rows, len(features))
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stereo_ore.filters.neighbours import map_rows
-from stereo_ore.types import F32, F64, I32
+from stereo_ore.filters.neighbours import Index, by_neighbour, columns, map_rows
+from stereo_ore.types import F32, F64
 
 SCALES = (0.3, 0.8)
 """Distances from a plane [spacings] at which a neighbour's vote has fallen to half: strict (near) and lenient (far)."""
@@ -32,12 +32,12 @@ class Planes:
     height: F32
     shape: F32
 
-    def take(self, rows: I32) -> Planes:
+    def take(self, rows: Index) -> Planes:
         """The planes of some points."""
         return Planes(self.normal[rows], self.height[rows], self.shape[rows])
 
 
-def fit_planes(x: F32, index: I32, weight: F32, at: F32) -> Planes:
+def fit_planes(x: F32, index: Index, weight: F32, at: F32) -> Planes:
     """Total least-squares plane through each point's weighted neighbours.
 
     With offsets q_j = x_j − x_i and weights w_j: centre c = Σ w q / Σ w, covariance C = Σ w q qᵀ / Σ w − c cᵀ, normal n
@@ -54,26 +54,26 @@ def fit_planes(x: F32, index: I32, weight: F32, at: F32) -> Planes:
     at : (M, 3) array
         Points whose surroundings are wanted.
     """
-    packed = map_rows(lambda rows: _fit_rows(x, index[rows], at[rows], weight), len(at))
+    x = np.asfortranarray(x)
+    packed = map_rows(lambda rows: _fit_rows(x, by_neighbour(index, rows), at[rows], weight), len(at))
     return Planes(packed[:, :3], packed[:, 3], packed[:, 4:])
 
 
-def _fit_rows(x: F32, index: I32, own: F32, weight: F32) -> F32:
-    w = weight[index]
-    q = [x[:, axis][index] - own[:, axis, None] for axis in range(3)]
-    total = w.sum(1) + np.float32(1e-3)
+def _fit_rows(x: F32, index: Index, own: F32, weight: F32) -> F32:
+    w = weight.take(index)
+    q = [x[:, axis].take(index) - own[:, axis] for axis in range(3)]
+    total = w.sum(0) + np.float32(1e-3)
     wq = [w * component for component in q]
-    centre = np.stack([component.sum(1) / total for component in wq], 1)
+    centre = [component.sum(0) / total for component in wq]
     pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-    moments = [np.einsum("ij,ij->i", wq[a], q[b]) / total - centre[:, a] * centre[:, b] for a, b in pairs]
-    variances, normal = eigen(np.stack(moments, 1))
-    height = np.einsum("ij,ij->i", centre, normal)
+    moments = [np.einsum("ij,ij->j", wq[a], q[b]) / total - centre[a] * centre[b] for a, b in pairs]
+    variances, normal = eigen(np.stack(moments).T)
+    height = sum(c * n for c, n in zip(centre, normal.T, strict=True))
     residual = np.abs(height)
-    aside = np.sqrt(np.maximum(np.einsum("ij,ij->i", centre, centre) - height**2, 0))
+    aside = np.sqrt(np.maximum(sum(c * c for c in centre) - height**2, 0))
     deviations = np.sqrt(variances)
-    lengths = np.log(np.column_stack([residual, aside, deviations]) + LEAST)
-    fit = np.column_stack([np.log(total), np.log(residual / (deviations[:, 0] + 0.05) + LEAST)])
-    return np.column_stack([normal, height, lengths, fit]).astype(np.float32)
+    lengths = np.log(columns(residual, aside, deviations) + LEAST)
+    return columns(normal, height, lengths, np.log(total), np.log(residual / (deviations[:, 0] + 0.05) + LEAST))
 
 
 def eigen(moments: F32) -> tuple[F64, F64]:
@@ -90,11 +90,11 @@ def eigen(moments: F32) -> tuple[F64, F64]:
     a, b, c = xx - mean, yy - mean, zz - mean
     scale = np.sqrt((a * a + b * b + c * c + 2 * (xy * xy + xz * xz + yz * yz)) / 6) + 1e-30
     determinant = a * (b * c - yz * yz) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)
-    angle = np.arccos(np.clip(determinant / (2 * scale**3), -1, 1)) / 3
+    angle = np.arccos(np.clip(determinant / (2 * scale * scale * scale), -1, 1)) / 3
     largest = mean + 2 * scale * np.cos(angle)
     smallest = mean + 2 * scale * np.cos(angle + 2 * np.pi / 3)
-    values = np.stack([smallest, 3 * mean - largest - smallest, largest], 1)
-    return np.maximum(values, 0), _null_vector(xx - smallest, yy - smallest, zz - smallest, xy, xz, yz)
+    values = np.stack([smallest, 3 * mean - largest - smallest, largest])
+    return np.maximum(values, 0).T, _null_vector(xx - smallest, yy - smallest, zz - smallest, xy, xz, yz)
 
 
 def _null_vector(a: F64, b: F64, c: F64, d: F64, e: F64, f: F64) -> F64:
@@ -106,34 +106,33 @@ def _null_vector(a: F64, b: F64, c: F64, d: F64, e: F64, f: F64) -> F64:
             [b * c - f * f, f * e - d * c, d * f - b * e],
         ]
     )
-    lengths = np.sqrt((crosses**2).sum(1))
-    longest = lengths.argmax(0)
-    rows = np.arange(len(a))
-    length = lengths[longest, rows]
-    vector = crosses[longest, :, rows]
-    vector[length == 0] = (0, 0, 1)
-    return np.asarray(vector / np.where(length == 0, 1, length)[:, None])
+    squares = np.einsum("ijm,ijm->im", crosses, crosses)
+    longest = squares.argmax(0)
+    vector, square = np.choose(longest[None], crosses), np.choose(longest, squares)
+    vector[:, square == 0] = np.array([[0], [0], [1]])
+    return np.asarray(vector / np.sqrt(np.where(square == 0, 1, square))).T
 
 
-def votes(x: F32, index: I32, weight: F32, planes: Planes, at: F32, scales: tuple[float, float] = SCALES) -> F32:
+def votes(x: F32, index: Index, weight: F32, planes: Planes, at: F32, scales: tuple[float, float] = SCALES) -> F32:
     """How well points `at` lie on the planes of their neighbours `x`, (M, 3) logarithms.
 
     With r_j = |n_j·(x_i − x_j) − h_j|: Σ w_j / (1 + (r_j/s)²) for either scale s, and Σ w_j r_j / Σ w_j.
     On an edge the planes of its own side speak for a point, where one plane through both sides would not.
     """
-    table = np.column_stack([planes.normal, planes.height, weight]).astype(np.float32)
-    return map_rows(lambda rows: _vote_rows(x, index[rows], at[rows], table, scales), len(at))
+    table = columns(planes.normal, planes.height, weight, x)
+    return map_rows(lambda rows: _vote_rows(by_neighbour(index, rows), at[rows], table, scales), len(at))
 
 
-def _vote_rows(x: F32, index: I32, own: F32, table: F32, scales: tuple[float, float]) -> F32:
-    nx, ny, nz, height, w = (table[:, column][index] for column in range(5))
-    r = nx * (own[:, 0, None] - x[:, 0][index])
-    r += ny * (own[:, 1, None] - x[:, 1][index])
-    r += nz * (own[:, 2, None] - x[:, 2][index])
-    r = np.abs(r - height)
-    near, far = ((w / (1 + (r / np.float32(scale)) ** 2)).sum(1) for scale in scales)
-    mean = (w * r).sum(1) / (w.sum(1) + np.float32(1e-3))
-    return np.log(np.column_stack([near, far, mean]) + np.float32(LEAST)).astype(np.float32)
+def _vote_rows(index: Index, own: F32, table: F32, scales: tuple[float, float]) -> F32:
+    nx, ny, nz, height, w, x, y, z = (column.take(index) for column in table.T)
+    nx *= own[:, 0] - x
+    ny *= own[:, 1] - y
+    nz *= own[:, 2] - z
+    r = np.abs(nx + ny + nz - height)
+    square = r * r
+    near, far = ((w / (1 + square * np.float32(scale**-2))).sum(0) for scale in scales)
+    mean = np.einsum("ij,ij->j", w, r) / (w.sum(0) + np.float32(1e-3))
+    return np.asarray(np.log(columns(near, far, mean) + np.float32(LEAST)))
 
 
 def log_odds(noise: F32) -> F32:

@@ -9,11 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from stereo_ore.filters.neighbours import map_rows
+from stereo_ore.filters.neighbours import Index, by_neighbour, columns, map_rows, nearest
 from stereo_ore.filters.surface import LEAST, fit_planes, log_odds, votes
-from stereo_ore.types import F32, I32
+from stereo_ore.types import F32
 
 STEP, K = 16, 12
 SCALES = (0.5, 1.5)
@@ -33,23 +32,15 @@ FEATURES = (
 class Surroundings:
     """Rows (S,) of the thinned cloud; for each point the nearest of them: index (M, K) into rows, distance (M, K)."""
 
-    rows: I32
-    index: I32
+    rows: Index
+    index: Index
     distance: F32
 
 
 def survey(points: F32) -> Surroundings:
     """Find the K nearest among every 16th of points (M, 3) whose order keeps near ones together."""
-    rows = np.arange(min(STEP // 2, len(points) - 1), len(points), STEP, dtype=np.int32)
-    tree = cKDTree(points[rows], balanced_tree=False, compact_nodes=False)
-    k = min(K, len(rows))
-
-    def nearest(part: slice) -> F32:
-        d, i = tree.query(points[part], k)
-        return np.concatenate([np.reshape(d, (-1, k)), np.reshape(i, (-1, k))], 1)
-
-    found = map_rows(nearest, len(points))
-    return Surroundings(rows, found[:, k:].astype(np.int32), found[:, :k].astype(np.float32))
+    rows = np.arange(min(STEP // 2, len(points) - 1), len(points), STEP)
+    return Surroundings(rows, *nearest(points[rows], points, min(K, len(rows))))
 
 
 def features(points: F32, wide: Surroundings, noise: F32) -> F32:
@@ -66,12 +57,12 @@ def features(points: F32, wide: Surroundings, noise: F32) -> F32:
     odds, depth = log_odds(noise)[wide.rows], np.ascontiguousarray(thinned[:, 2])
 
     def around(part: slice) -> F32:
-        index = wide.index[part]
-        step = depth[index] - points[part, 2, None]
-        return np.column_stack([step.min(1), step.max(1), odds[index].mean(1)])
+        index = by_neighbour(wide.index, part)
+        step = depth.take(index) - points[part, 2]
+        return columns(step.min(0), step.max(0), odds.take(index).mean(0))
 
     steps = map_rows(around, len(points))
     side = np.sign(height) * np.log1p(5 * np.abs(height))
     distance = np.log(wide.distance.mean(1) + LEAST)
     steps[:, :2] = np.clip(steps[:, :2], -DEEPEST, DEEPEST)
-    return np.column_stack([at_all.shape, support, side, distance, steps]).astype(np.float32)
+    return columns(at_all.shape, support, side, distance, steps)
