@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -33,6 +33,10 @@ from stereo_ore.types import (
 COUNTS = ("pixels", "disparities", "points", "voxels", "kept", "ores", "targets")
 MIN_DISPARITY_SHARE = 0.2
 """Below this share of matched pixels in the search region a frame is degraded: a covered lens, dust, no light."""
+
+MAX_SPREAD_PX = 0.15
+"""Above this median spread of neighbouring disparities a frame is degraded: swapped eyes, or eyes of two moments,
+match by chance only. Recorded pairs of ore, dark, wet and dusty too, stay below 0.1, eyes exchanged are above 0.16."""
 
 
 @dataclass(frozen=True)
@@ -116,18 +120,25 @@ def _match(result: FrameResult, context: Context, more: Sequence[StereoPair]) ->
     disparity, *others = (_match_pair(pair, context) for pair in pairs)
     if others:
         disparity = matching.fuse(pairs, [disparity, *others])
-    region = disparity.region
     if context.empty is not None:
         matching.background.compare(context.empty.background, disparity)
-    valid = int(np.isfinite(disparity.values).sum())
-    result = _count(replace(result, disparity=disparity), pixels=disparity.values.size, disparities=valid)
-    share = valid / max((region.x1 - region.x0) * (region.y1 - region.y0), 1)
+    reasons = tuple(_doubts(disparity))
+    status = "degraded" if reasons else result.status
+    result = replace(result, disparity=disparity, status=status, reasons=(*result.reasons, *reasons))
+    return _count(result, pixels=disparity.values.size, disparities=int(np.isfinite(disparity.values).sum()))
+
+
+def _doubts(disparity: Disparity) -> Iterator[Reason]:
+    """Why a disparity is too poor to act on."""
+    valid, region = np.isfinite(disparity.values), disparity.region
+    share = valid.sum() / max((region.x1 - region.x0) * (region.y1 - region.y0), 1)
     if share < MIN_DISPARITY_SHARE:
-        detail = (
-            f"{100 * share:.0f} % of the pixels searched have a disparity; {100 * MIN_DISPARITY_SHARE:.0f} % wanted"
-        )
-        result = _degrade(result, Reason("FEW_DISPARITIES", detail))
-    return result
+        text = f"{100 * share:.0f} % of the pixels searched have a disparity; {100 * MIN_DISPARITY_SHARE:.0f} % wanted"
+        yield Reason("FEW_DISPARITIES", text)
+    spread = float(np.median(disparity.cues["spread_px"][valid])) if valid.any() else 0.0
+    if spread > MAX_SPREAD_PX:
+        text = f"neighbouring disparities differ by {spread:.2f} px, {MAX_SPREAD_PX} px at most are wanted"
+        yield Reason("EYES_DISAGREE", f"{text}: are the eyes swapped, or of two moments?")
 
 
 def _match_pair(pair: RectifiedPair, context: Context) -> Disparity:
@@ -209,10 +220,6 @@ def _judge(result: FrameResult) -> FrameResult:
     if not result.ores:
         return replace(result, status="empty", reasons=(*result.reasons, Reason("NO_ORE", "no lump on the screen")))
     return result
-
-
-def _degrade(result: FrameResult, reason: Reason) -> FrameResult:
-    return replace(result, status="degraded", reasons=(*result.reasons, reason))
 
 
 def _failed(result: FrameResult, error: FrameError) -> FrameResult:

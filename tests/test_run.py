@@ -245,6 +245,16 @@ def test_images_of_another_size_than_the_calibration_name_both_sizes(half: Path,
     assert "640" in line
 
 
+def test_a_first_frame_of_another_size_fails_alone(half: Path, tmp_path: Path) -> None:
+    for eye in ("left", "right"):
+        (tmp_path / eye).mkdir()
+        cv2.imwrite(str(tmp_path / eye / "a.png"), np.zeros((90, 160, 3), np.uint8))
+        shutil.copy(half / f"{eye}.png", tmp_path / eye / "b.png")
+    done = stereo_ore("run", tmp_path, *files(half), "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    assert [r["status"] for r in records(tmp_path / "out")] == ["failed", "ok"]
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [

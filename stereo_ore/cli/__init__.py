@@ -57,7 +57,8 @@ def main(
 ) -> None:
     """Find breaking-size ore on a grizzly screen in recorded stereo pairs.
 
-    Example: `stereo-ore run data/paper_03 --calib data/paper_03/calibration.yaml --out out`
+    Example: `stereo-ore run data/paper_03 --calib data/paper_03/calibration.yaml --site data/paper_03/site.yaml
+    --out out`
     """
     level = logging.WARNING if quiet else (logging.INFO, logging.DEBUG)[min(verbose, 1)]
     logging.basicConfig(level=level, format="%(message)s", stream=sys.stderr, force=True)

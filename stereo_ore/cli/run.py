@@ -77,7 +77,7 @@ def run(
     context = pipeline.make_context(calibration, place, load_config(config, settings))
     indices = range(len(recording.names))[start : stop : every or context.config.matching.fuse]
     if not indices:
-        raise SourceError(f"has {len(recording.names)} frames, none of them selected", file=recording.path)
+        raise SourceError(f"has {_frames(len(recording.names))}, none of them selected", file=recording.path)
     _announce(place, len(indices))
     job = batch.Job(recording, context, FrameFiles(out, save_stages), strict)
     description = _description(
@@ -141,7 +141,7 @@ def _frame_size(recording: Source) -> tuple[int, int] | None:
 
 
 def _announce(site: Site, frames: int) -> None:
-    log.info("%d frame%s", frames, "" if frames == 1 else "s")
+    log.info("%s", _frames(frames))
     if site.T_arm_camera is None:
         log.warning("no arm_from_camera in a site file: positions are in the camera frame only, not for an arm")
     if site.opening_m is None:
@@ -227,9 +227,10 @@ def _summarise(out: Path) -> None:
         reason = failed[0]["reasons"][-1]
         raise FrameError(f"no frame could be processed; the first: {reason['detail']}", code=reason["code"])
     if len(frames) == 1:
-        console = Console()
-        console.width = max(console.width, TABLE_WIDTH)
-        console.print(_ore_table(frames[0]))
+        if frames[0]["ores"]:
+            console = Console()
+            console.width = max(console.width, TABLE_WIDTH)
+            console.print(_ore_table(frames[0]))
         if (overlay := out / "overlays" / f"{frames[0]['frame']}.png").is_file():
             typer.echo(f"overlay: {overlay}")
     counts = {
@@ -237,7 +238,11 @@ def _summarise(out: Path) -> None:
     }
     summary = ", ".join(f"{count} {status}" for status, count in counts.items() if count)
     ores, targets = (sum(frame["counts"][key] for frame in frames) for key in ("ores", "targets"))
-    typer.echo(f"{len(frames)} frame{'s' * (len(frames) != 1)} ({summary}), {ores} ores, {targets} targets: {out}")
+    typer.echo(f"{_frames(len(frames))} ({summary}), {ores} ores, {targets} targets: {out}")
+
+
+def _frames(count: int) -> str:
+    return f"{count} frame{'s' * (count != 1)}"
 
 
 def _ore_table(frame: dict[str, Any]) -> Any:

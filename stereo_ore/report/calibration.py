@@ -18,11 +18,13 @@ CHECK_FILE = "calibration_check.json"
 def write_check(
     folder: Path, recording: Source, indices: range, calibration: StereoCalibration
 ) -> dict[str, Any] | None:
-    """Judge the calibration by the first readable frame, and keep the verdict in the run's folder; None without one."""
+    """Judge the calibration by the first readable frame of its size, and keep the verdict in the run's folder."""
     for index in indices:
         try:
             pair = recording.read(index)
         except FrameError:
+            continue
+        if pair.left.shape[1::-1] != calibration.image_size:
             continue
         result = check_pair(pair, calibration)
         rows = result.residual
