@@ -5,12 +5,13 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from stereo_ore.matching import windows
-from stereo_ore.matching.subpixel import Refined
-from stereo_ore.types import F32, Mask
+from stereo_ore.matching import sgbm, subpixel, windows
+from stereo_ore.matching.consistency import Agreement
+from stereo_ore.matching.windows import Support
+from stereo_ore.types import F32, I16
 
-SHARE_PX, SPREAD_PX, PATCH_PX = 21, 9, 5
-"""Windows of the valid share, of the spread, and of the photometric error."""
+SHARE_PX, SPREAD_PX = 21, 9
+"""Windows of the valid share and of the spread; that of the photometric error is `windows.SMOOTH_PX`."""
 
 ABSOLUTE_TO_SIGMA = 1.2533
 """Standard deviation over mean absolute deviation of a normal distribution."""
@@ -19,31 +20,37 @@ MAX_DEVIATION_PX = 8.0
 """Deviations count up to here, so that one wild pixel does not fill its window."""
 
 
-def compute(matched: F32, valid: Mask, lr_diff: F32, refined: Refined) -> dict[str, F32]:
+REACH_PX = max(SHARE_PX // 2, SPREAD_PX // 2 + 2, subpixel.REACH_PX + windows.SMOOTH_PX // 2)
+"""How far from a pixel the cues look, with what they are given."""
+
+
+def compute(found: Agreement, matched: I16, around: Support, residual: F32) -> dict[str, F32]:
     """The cues of a crop, each (h, w) float32.
 
     Parameters
     ----------
-    matched : (h, w) float32
-        Disparity as matched [px], 0 where it is not valid.
-    valid : (h, w) bool
+    found : Agreement
+        Of both directions; a missing right match counts as `MAX_DEVIATION_PX`.
+    matched : (h, w) int16
+        Disparity as matched [px / 16], 0 where it is not valid.
+    around : Support
         Where there is a disparity in the end.
-    lr_diff : (h, w) float32
-        Left-right difference [px]; NaN, where the right match has none, counts as `MAX_DEVIATION_PX`.
-    refined : Refined
-        Residuals and gradients of the images.
+    residual : (h, w) float32
+        From `subpixel.refine`, [grey levels], 0 where there is no disparity.
     """
-    weight = valid.astype(np.float32)
-    near = np.maximum(windows.mean(weight, PATCH_PX), windows.EPSILON)
-    around = np.maximum(windows.mean(weight, SPREAD_PX), windows.EPSILON)
-    deviation = np.abs(matched - cv2.medianBlur(matched, 5))
-    deviation = np.minimum(deviation, np.float32(MAX_DEVIATION_PX)) * weight
-    texture = windows.texture(refined.gradient)
+    deviation = _limited(np.asarray(cv2.absdiff(matched, cv2.medianBlur(matched, 5)), np.int16)) * around.weight
+    near = np.maximum(windows.count(around.valid, SPREAD_PX), np.float32(1))
+    error = windows.total(residual, windows.SMOOTH_PX) / around.count
     return {
-        "valid_share": windows.mean(weight, SHARE_PX),
-        "spread_px": np.float32(ABSOLUTE_TO_SIGMA) * windows.mean(deviation, SPREAD_PX) / around,
-        "lr_diff_px": np.fmin(lr_diff, np.float32(MAX_DEVIATION_PX)) * weight,
-        "texture": texture,
-        "photometric": windows.mean(refined.residual, PATCH_PX) / near / (texture + np.float32(1)),
+        "valid_share": windows.count(around.valid, SHARE_PX) * np.float32(1 / SHARE_PX**2),
+        "spread_px": np.float32(ABSOLUTE_TO_SIGMA) * windows.total(deviation, SPREAD_PX) / near,
+        "lr_diff_px": _limited(found.difference) * around.weight,
+        "texture": found.texture,
+        "photometric": error / (found.texture + np.float32(1)),
         "median_diff_px": deviation,
     }
+
+
+def _limited(difference: I16) -> F32:
+    """Sixteenths as pixels, at most `MAX_DEVIATION_PX`."""
+    return np.minimum(sgbm.to_px(difference), np.float32(MAX_DEVIATION_PX))

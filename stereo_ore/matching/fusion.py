@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from stereo_ore.errors import FrameError
-from stereo_ore.matching import sgbm, subpixel
+from stereo_ore.matching import sgbm, subpixel, windows
 from stereo_ore.types import F32, U8, Disparity, Mask, RectifiedPair, Region
 
 SMALL_WIDTH_PX = 320
@@ -81,7 +81,7 @@ def _refine(pairs: Sequence[RectifiedPair], region: Region, values: F32) -> F32:
     filled = np.where(valid, part, np.float32(0))
     brightness = subpixel.brightness_ratio(images, filled, valid)
     refined = values.copy()
-    fine = subpixel.refine(images, filled, valid, brightness).values
+    fine = subpixel.refine(images, filled, windows.support(valid), brightness).values
     np.copyto(refined[region.slices], fine + offset, where=valid)
     return refined
 

@@ -8,13 +8,14 @@ import cv2
 import numpy as np
 
 from stereo_ore.config import MatchingConfig
-from stereo_ore.matching import consistency, cues, sgbm, subpixel
+from stereo_ore.matching import consistency, cues, sgbm, subpixel, windows
 from stereo_ore.matching.bands import in_bands
+from stereo_ore.matching.consistency import Agreement
 from stereo_ore.matching.region import default_disparities
-from stereo_ore.types import CUES, F32, I16, U8, Disparity, Mask, RectifiedPair, Region, Rig
+from stereo_ore.types import CUES, F32, U8, Disparity, RectifiedPair, Region, Rig
 
-HALO_PX = max(cues.SHARE_PX // 2, subpixel.REACH_PX + cues.PATCH_PX // 2)
-"""Rows that the windows around a pixel reach."""
+BRIGHTNESS_STEP = 4
+"""Every such row tells the ratio of the eyes' brightness."""
 
 
 def match(pair: RectifiedPair, region: Region, config: MatchingConfig) -> Disparity:
@@ -36,31 +37,41 @@ def match(pair: RectifiedPair, region: Region, config: MatchingConfig) -> Dispar
         was found; cues for each pixel of the region, 0 elsewhere; counts of what each step left.
     """
     images = sgbm.crop(grey(pair.left), grey(pair.right), region)
-    matched, lr_diff, valid = consistency.match_both(images, config)
-    values, doubts = _finish(images, matched, lr_diff, valid, pair.rig)
-    counts = {"matched": int((matched >= 0).sum()), "disparities": int(valid.sum())}
+    found = consistency.match_both(images, config)
+    values, doubts = _finish(images, found, pair.rig)
+    counts = {"matched": int((found.left >= 0).sum()), "disparities": int(found.valid.sum())}
     return Disparity(values, region, doubts, search_saved(pair.rig, region) | counts)
 
 
-def _finish(images: sgbm.Crop, matched: I16, lr_diff: F32, valid: Mask, rig: Rig) -> tuple[F32, dict[str, F32]]:
+def _finish(images: sgbm.Crop, found: Agreement, rig: Rig) -> tuple[F32, dict[str, F32]]:
     """Refined disparities and cues of the whole image."""
     region = images.region
-    values = np.full((rig.height, rig.width), np.nan, np.float32)
-    doubts = {name: np.zeros((rig.height, rig.width), np.float32) for name in CUES}
+    values = _frame(rig, region, np.nan)
+    doubts = {name: _frame(rig, region, 0) for name in CUES}
     offset = np.float32(region.min_disparity + rig.disparity_offset_px)
-    disparity = sgbm.to_px(matched) * valid
-    brightness = subpixel.brightness_ratio(images, disparity, valid)
+    every = slice(None, None, BRIGHTNESS_STEP)
+    sparse = found.rows(every)
+    brightness = subpixel.brightness_ratio(images.rows(every), sgbm.to_px(sparse.left), sparse.valid)
 
     def refine(rows: slice, core: slice, band: slice) -> None:
-        refined = subpixel.refine(images.rows(rows), disparity[rows], valid[rows], brightness)
-        found = cues.compute(disparity[rows], valid[rows], lr_diff[rows], refined)
+        part = found.rows(rows)
+        around, matched = windows.support(part.valid), part.left * part.valid
+        refined = subpixel.refine(images.rows(rows), sgbm.to_px(matched), around, brightness)
         target = (slice(region.y0 + band.start, region.y0 + band.stop), region.slices[1])
-        np.copyto(values[target], refined.values[core] + offset, where=valid[band])
-        for name, cue in found.items():
+        values[target] = np.where(part.valid[core], refined.values[core] + offset, np.float32(np.nan))
+        for name, cue in cues.compute(part, matched, around, refined.residual).items():
             doubts[name][target] = cue[core]
 
-    in_bands(len(matched), HALO_PX, refine)
+    in_bands(len(found.left), cues.REACH_PX, refine)
     return values, doubts
+
+
+def _frame(rig: Rig, region: Region, value: float) -> F32:
+    """An image (H, W) of one value around a region, whose pixels are still to be written."""
+    image = np.empty((rig.height, rig.width), np.float32)
+    image[: region.y0] = image[region.y1 :] = value
+    image[:, : region.x0] = image[:, region.x1 :] = value
+    return image
 
 
 def grey(image: U8) -> U8:

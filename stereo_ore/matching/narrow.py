@@ -53,10 +53,11 @@ def narrow(pair: RectifiedPair, region: Region, volume: Volume | None, config: M
     scale = max(-(-pair.rig.width // COARSE_WIDTH_PX), 2)
     coarse = _coarse_region(pair.rig, region, scale)
     images = sgbm.crop(_reduce(grey(pair.left), scale), _reduce(grey(pair.right), scale), coarse)
-    matched, _, seen = consistency.match_both(images, config.model_copy(update=COARSE))
+    found = consistency.match_both(images, config.model_copy(update=COARSE))
+    seen = found.valid
     if seen.mean() < LEAST_SHARE:
         return region
-    disparity = (sgbm.to_px(matched) + np.float32(coarse.min_disparity)) * np.float32(scale)
+    disparity = (sgbm.to_px(found.left) + np.float32(coarse.min_disparity)) * np.float32(scale)
     if volume is None:
         return _range(region, coarse, scale, disparity, seen, None)
     inside = _in_volume(pair.rig, coarse, scale, disparity, seen, volume)
