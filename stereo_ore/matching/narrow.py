@@ -14,7 +14,7 @@ from stereo_ore.matching.match import grey
 from stereo_ore.matching.region import MARGIN_PX, round_up
 from stereo_ore.types import F32, U8, Mask, RectifiedPair, Region, Rig, Volume
 
-COARSE_WIDTH_PX = 320
+COARSE_WIDTH_PX = 240
 """Largest width to which the pair is reduced; by two at least."""
 
 COARSE = {"mode": "3way", "uniqueness": 10, "lr_max_diff": 1.0, "speckle_size": 20, "speckle_range": 1.0}
