@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from stereo_ore.errors import MissingExtraError, OutputError
+
+log = logging.getLogger(__name__)
 
 
 def new_figure(width_in: float, height_in: float, **options: Any) -> Any:
@@ -24,6 +28,14 @@ def new_figure(width_in: float, height_in: float, **options: Any) -> Any:
     figure = Figure(figsize=(width_in, height_in), **options)
     FigureCanvasAgg(figure)
     return figure
+
+
+def if_possible(draw: Callable[[], object]) -> None:
+    """Draw a picture that nobody asked for by name; without matplotlib say so and go on."""
+    try:
+        draw()
+    except MissingExtraError as error:
+        log.warning("no picture: %s", error)
 
 
 def save_figure(figure: Any, path: Path, dpi: int | str = "figure") -> None:

@@ -198,6 +198,7 @@ def test_what_show_prints_follows_from_the_geometry() -> None:
 
 @pytest.mark.parametrize("rig", [example_rig(), rectified_rig()], ids=["raw", "rectified"])
 def test_show_draws_a_picture(tmp_path: Path, rig) -> None:
+    pytest.importorskip("matplotlib")
     draw(rig, tmp_path / "camera.png")
     assert (tmp_path / "camera.png").read_bytes().startswith(b"\x89PNG")
 
@@ -226,6 +227,8 @@ def test_the_command_imports_converts_and_shows(tmp_path: Path) -> None:
     ],
 )
 def test_a_fault_is_one_line_and_exit_code_1(arguments: tuple[object, ...], word: str) -> None:
+    if "--picture" in arguments:
+        pytest.importorskip("matplotlib")
     done = command(*arguments)
     assert done.returncode == 1
     assert word in done.stderr
@@ -233,6 +236,7 @@ def test_a_fault_is_one_line_and_exit_code_1(arguments: tuple[object, ...], word
 
 
 def test_the_first_commands_of_the_readme_run(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
     shutil.copytree(CALIB, tmp_path / "calib")
     block = (CALIB / "README.md").read_text().partition("```sh\n")[2].partition("```")[0]
     lines = block.strip().splitlines()

@@ -3,6 +3,7 @@
 import json
 import shutil
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -210,7 +211,7 @@ def test_the_command_prints_writes_and_judges(
     assert launch("evaluate", run, synth_folder, "--out", out, "--at-least", "iou=0.9") == 0
     assert synth_folder.name in capsys.readouterr().out
     assert json.loads((out / "evaluation.json").read_text())["total"]["iou"] == 1
-    assert (out / "evaluation.png").read_bytes().startswith(b"\x89PNG")
+    assert (out / "evaluation.png").is_file() == bool(find_spec("matplotlib"))
     assert launch("evaluate", run, synth_folder, "--at-most", "iou=0.5") == 3
     assert "gate failed: iou" in capsys.readouterr().err
     assert launch("evaluate", run, synth_folder, "--at-least", "beauty=1") == 2

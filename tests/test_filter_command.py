@@ -29,6 +29,7 @@ def command(*arguments: object) -> None:
 
 
 def test_keeps_columns_and_splits_the_cloud_in_two(noisy: Path, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
     out, noise, scores, picture = (tmp_path / name for name in ("out.pcd", "noise.csv", "scores.npz", "factors.png"))
     command(noisy, out, "--keep-noise", noise, "--scores", scores, "--picture", picture)
     kept, removed = cloud_io.read(out), cloud_io.read(noise)

@@ -1,6 +1,7 @@
 """``tune``: the cost, the search, the files it writes, the training of scorers."""
 
 import itertools
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -87,7 +88,7 @@ def test_command_writes_a_configuration_that_loads(labelled_csv: Path, tmp_path:
     assert config.method == "statistical"
     filters.parameters(config)
     assert yaml.safe_load(result.stdout) == yaml.safe_load((out / "config.yaml").read_text())
-    assert (out / "cost.png").stat().st_size > 5000
+    assert (out / "cost.png").is_file() == bool(find_spec("matplotlib"))
 
 
 @pytest.mark.parametrize(

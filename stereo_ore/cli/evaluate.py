@@ -87,10 +87,11 @@ def _check(gates: list[tuple[str, float, int]], total: dict[str, float]) -> None
 
 def _write(out: Path, rows: list[dict[str, Any]], total: dict[str, float]) -> None:
     from stereo_ore.evaluate.plots import draw
+    from stereo_ore.figures import if_possible
     from stereo_ore.sinks.atomic import write_text
 
     write_text(out / "evaluation.json", json.dumps(_without_nan({"total": total, "rows": rows}), indent=1) + "\n")
-    draw(rows, out / "evaluation.png")
+    if_possible(lambda: draw(rows, out / "evaluation.png"))
 
 
 def _without_nan(value: Any) -> Any:

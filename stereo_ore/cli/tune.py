@@ -56,6 +56,7 @@ def _search(out: Path, method: str, files: list[Path], seeds: int, cost: Path | 
     from stereo_ore import tune as tuning
     from stereo_ore.bench import labelled
     from stereo_ore.config.loader import validate
+    from stereo_ore.figures import if_possible
     from stereo_ore.yaml_io import load_yaml
 
     weights = validate(tuning.CostWeights, load_yaml(cost, ConfigError) if cost else {}, cost or "cost", ConfigError)
@@ -68,7 +69,7 @@ def _search(out: Path, method: str, files: list[Path], seeds: int, cost: Path | 
     out.mkdir(parents=True, exist_ok=True)
     text = yaml.safe_dump(tuned.config(), sort_keys=False)
     (out / "config.yaml").write_text(text, encoding="utf-8")
-    tuning.plot(tuned, out / "cost.png")
+    if_possible(lambda: tuning.plot(tuned, out / "cost.png"))
     log.info("cost %.4f on %d clouds; %s", tuned.cost, len(clouds), out / "config.yaml")
     typer.echo(text, nl=False)
 
