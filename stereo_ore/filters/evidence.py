@@ -98,11 +98,11 @@ def _density(neighbours: Neighbours) -> tuple[float, F32]:
 def _cues(voxels: VoxelCloud) -> F32:
     """Logarithms of the cues (the valid share as it is), of the points behind a voxel over those it has room for."""
     floors = {"spread_px": 0.05, "lr_diff_px": 0.03, "texture": 0.3, "photometric": 0.03, "median_diff_px": 0.03}
-    cues = [voxels.cues["valid_share"]]
-    cues += [np.log(np.maximum(voxels.cues[name], 0) + floors[name]) for name in CUES[1:]]
-    room = (voxels.size_m / voxels.pixel_m) ** 2
-    cues += [np.log(voxels.count / room), np.log(room) / 2, np.log(voxels.sigma_z / voxels.size_m)]
-    return np.nan_to_num(columns(*cues), nan=0.0, posinf=0.0, neginf=0.0)
+    pixels = voxels.size_m / voxels.pixel_m
+    doubts = (np.maximum(voxels.cues[name], 0) + floors[name] for name in CUES[1:])
+    positive = columns(*doubts, voxels.count / pixels**2, pixels, voxels.sigma_z / voxels.size_m)
+    logs = map_rows(lambda rows: np.nan_to_num(np.log(positive[rows]), nan=0.0, posinf=0.0, neginf=0.0), len(positive))
+    return columns(np.nan_to_num(voxels.cues["valid_share"], nan=0.0, posinf=0.0, neginf=0.0), logs)
 
 
 def features(evidence: Evidence, noise: F32) -> F32:

@@ -61,14 +61,15 @@ def search(xyz: F32, k: int) -> Neighbours:
 
 def nearest(points: F32, at: F32, k: int) -> tuple[Index, F32]:
     """Rows (M, k) of the k nearest of `points` (N, 3), k ≤ N, to each of `at` (M, 3), and their distances (M, k)."""
-    # A power of two costs no digit, and keeps squares in range.
-    exponent = np.frexp(max(np.abs(points).max(), np.abs(at).max()))[1]
-    tree = _tree(np.ldexp(points, -exponent, order="C"))
+    # Squares stay in range, and a power of two costs no digit.
+    exponent = int(np.clip(np.frexp(max(np.abs(points).max(), np.abs(at).max()))[1], -100, 100))
+    down, up = np.float32(2.0**-exponent), np.float32(2.0**exponent)
+    tree = _tree(np.ascontiguousarray(points * down))
     index, distance = np.empty((k, len(at)), np.intp), np.empty((k, len(at)), np.float32)
 
     def fill(rows: slice) -> None:
-        i, d = tree(np.ldexp(at[rows], -exponent, order="C"), k)
-        index[:, rows], distance[:, rows] = i.T, np.ldexp(d.T, exponent)
+        i, d = tree(np.ascontiguousarray(at[rows] * down), k)
+        index[:, rows], distance[:, rows] = i.T, (d * up).T
 
     _each_chunk(fill, len(at))
     return index.T, distance.T

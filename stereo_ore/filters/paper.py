@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stereo_ore.config.filters import PaperParams
-from stereo_ore.filters.neighbours import Neighbours, chunks, density, search
+from stereo_ore.filters.neighbours import Neighbours, by_neighbour, density, map_rows, search
 from stereo_ore.types import F32, I32, FilterResult, Mask, VoxelCloud
 
 
@@ -95,11 +95,13 @@ def two_clusters(values: F32, centres: tuple[float, float], iterations: int = 10
 
 def density_deviation(rho: F32, neighbours: Neighbours, k: int) -> F32:
     """σ(p_i) = sqrt(mean over j ≤ k of (ρ(q_j) − ρ(p_i))²), (M,) [1/m] (equation 3)."""
-    sigma = np.empty_like(rho)
-    for rows in chunks(len(rho)):
-        difference = rho[neighbours.index[rows, :k]] - rho[rows, None]
-        sigma[rows] = np.sqrt(np.einsum("ij,ij->i", difference, difference) / difference.shape[1])
-    return sigma
+    index = neighbours.index[:, :k]
+
+    def rows_of(rows: slice) -> F32:
+        difference = rho.take(by_neighbour(index, rows)) - rho[rows]
+        return np.asarray(np.sqrt(np.einsum("ij,ij->j", difference, difference) / np.float32(index.shape[1])))
+
+    return map_rows(rows_of, len(rho))
 
 
 def reference_k(neighbours: Neighbours, grid: tuple[int, ...]) -> int:
@@ -117,9 +119,10 @@ def _density_at(neighbours: Neighbours, k: I32) -> F32:
 
 def _mean_of_first(values: F32, neighbours: Neighbours, k: I32) -> F32:
     """Mean of `values` over each point's first k_i neighbours (M,)."""
-    out = np.empty_like(values)
-    for rows in chunks(len(values)):
-        gathered = values[neighbours.index[rows, : int(k[rows].max())]]
-        gathered *= np.arange(gathered.shape[1]) < k[rows, None]
-        out[rows] = gathered.sum(1) / k[rows]
-    return out
+
+    def rows_of(rows: slice) -> F32:
+        gathered = values.take(by_neighbour(neighbours.index[:, : int(k[rows].max())], rows))
+        gathered *= np.arange(len(gathered))[:, None] < k[rows]
+        return np.asarray(gathered.sum(0) / k[rows], np.float32)
+
+    return map_rows(rows_of, len(values))
