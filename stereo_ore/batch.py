@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
+import threading
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from pathlib import Path
 
 from stereo_ore.errors import FrameError
@@ -85,6 +87,15 @@ def _start_worker(job: Job) -> None:
     global _job
     _job = job
     cv2.setNumThreads(1)
+    # A pool's worker waits for work for ever; when the run was killed nobody else tells it to go.
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    assert parent is not None, "a worker has a parent"
+    parent.join()
+    os._exit(1)
 
 
 def _work(index: int) -> FrameLines:

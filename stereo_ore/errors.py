@@ -26,7 +26,8 @@ class StereoOreError(Exception):
         self.problem, self.file, self.key, self.remedy = problem, file, key, remedy
         where = ": ".join(str(part) for part in (file, key) if part)
         text = f"{where}: {problem}" if where else problem
-        super().__init__(f"{text}. {remedy}" if remedy else text)
+        stop = "" if problem.endswith("?") else "."
+        super().__init__(f"{text}{stop} {remedy}" if remedy else text)
 
 
 class ConfigError(StereoOreError):

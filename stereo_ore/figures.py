@@ -20,14 +20,27 @@ def new_figure(width_in: float, height_in: float, **options: Any) -> Any:
     MissingExtraError
         When matplotlib is not installed.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise MissingExtraError("matplotlib", "pictures") from None
+    require_matplotlib()
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(width_in, height_in), **options)
     FigureCanvasAgg(figure)
     return figure
+
+
+def require_matplotlib() -> None:
+    """Refuse at once what would need a picture later.
+
+    Raises
+    ------
+    MissingExtraError
+        When matplotlib is not installed.
+    """
+    try:
+        import matplotlib.figure  # noqa: F401
+    except ImportError:
+        raise MissingExtraError("matplotlib", "pictures") from None
 
 
 def if_possible(draw: Callable[[], object]) -> None:

@@ -109,7 +109,7 @@ def _mean_cost(method: str, params: dict[str, Any], clouds: Sequence[LabelledClo
 def plot(tuned: Tuned, path: Path) -> None:
     """Draw the cost along each parameter; the dot is the value taken."""
     from stereo_ore.figures import save_figure
-    from stereo_ore.pictures import panels
+    from stereo_ore.filter_pictures import panels
 
     figure, axes = panels(len(tuned.curves), maps=False)
     for ax, (name, curve) in zip(axes, tuned.curves.items(), strict=True):

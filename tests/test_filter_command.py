@@ -87,3 +87,10 @@ def test_empty_cloud(tmp_path: Path) -> None:
     np.save(path, np.zeros((0, 3)))
     command(path, tmp_path / "out.npy")
     assert len(cloud_io.read(tmp_path / "out.npy")) == 0
+
+
+def test_the_input_is_not_replaced(noisy: Path) -> None:
+    before = noisy.read_bytes()
+    with pytest.raises(StereoOreError, match="is the input"):
+        command(noisy, noisy)
+    assert noisy.read_bytes() == before

@@ -4,6 +4,8 @@ import csv
 import json
 import shutil
 import subprocess
+import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,6 +14,7 @@ import numpy as np
 import pytest
 
 from stereo_ore.calibration import dump, load
+from stereo_ore.cli import launch
 from stereo_ore.site import load_site
 
 ROOT = Path(__file__).parents[1]
@@ -191,6 +194,15 @@ def test_the_bytes_are_the_same_however_it_was_run(
     assert [name for name in names if (out / name).read_bytes() != (reference / name).read_bytes()] == []
 
 
+def test_workers_end_with_a_run_that_is_killed(half: Path, recording: Path, tmp_path: Path) -> None:
+    command = ["stereo-ore", "run", recording, *files(half), "--out", tmp_path / "out", "--workers", "2"]
+    with subprocess.Popen([str(word) for word in command], stderr=subprocess.PIPE) as run:
+        time.sleep(3)
+        run.kill()
+        # The workers hold the pipe: it ends when the last of them does.
+        run.communicate(timeout=20)
+
+
 def test_start_stop_every_select_frames(half: Path, recording: Path, tmp_path: Path) -> None:
     done = stereo_ore("run", recording, *files(half), "--out", tmp_path, "--start", 1, "--stop", 4, "--every", 2)
     assert done.returncode == 0, done.stderr
@@ -306,3 +318,23 @@ def test_the_written_calibration_is_the_one_that_was_read(
     finished: tuple[Path, subprocess.CompletedProcess[str]], half: Path
 ) -> None:
     assert dump(load(finished[0] / "calibration.yaml")) == dump(load(half / "calibration.yaml"))
+
+
+def test_pictures_are_written_when_asked_for(half: Path, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    done = stereo_ore("run", half, *files(half), "--out", tmp_path / "out", "--pictures", "--no-report")
+    assert done.returncode == 0, done.stderr
+    (picture,) = (tmp_path / "out" / "pictures").iterdir()
+    assert picture.stem == records(tmp_path / "out")[0]["frame"]
+    assert np.ptp(cv2.imread(str(picture))) > 200
+
+
+def test_pictures_without_matplotlib_are_refused_before_the_run(
+    half: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(SystemExit) as stop:
+        launch([str(word) for word in ("run", half, *files(half), "--out", tmp_path / "out", "--pictures")])
+    assert stop.value.code == 1
+    assert "stereo-ore[pictures]" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

@@ -33,7 +33,7 @@ def filter_(
     ] = "adaptive",
     settings: Annotated[list[str] | None, typer.Option("--set", help="Parameter of the method: key=value.")] = None,
     unit: Annotated[str | None, typer.Option(help="Unit of the cloud's coordinates: m, cm or mm.")] = None,
-    scores: Annotated[Path | None, typer.Option(help="Write keep and score of each point: .npz or .csv.")] = None,
+    scores: Annotated[Path | None, typer.Option(help="Write keep and score of each point, best .npz or .csv.")] = None,
     keep_noise: Annotated[Path | None, typer.Option(help="Write the removed points too.")] = None,
     picture: Annotated[Path | None, typer.Option(help="Draw the outlier factors; *-kept beside it shows both.")] = None,
 ) -> None:
@@ -52,7 +52,7 @@ def filter_(
     filters.parameters(config)
     for path in (out, keep_noise, scores):
         if path:
-            cloud_io.format_of(path)
+            _check_output(path, source)
     records = cloud_io.read(source)
     xyz = cloud_io.xyz(records)
     result = filters.apply(_voxels(xyz * _metres(source, xyz, unit)), config)
@@ -64,6 +64,14 @@ def filter_(
     if picture:
         _draw(xyz, result, picture)
     _report(result)
+
+
+def _check_output(path: Path, source: Path) -> None:
+    from stereo_ore import cloud_io
+
+    cloud_io.format_of(path)
+    if path.exists() and source.exists() and path.samefile(source):
+        raise CloudError("is the input", file=path, remedy="Name another file; the recorded cloud is not replaced")
 
 
 def _metres(source: Path, xyz: Any, unit: str | None) -> float:
@@ -97,11 +105,11 @@ def _voxels(xyz: Any) -> Any:
 
 
 def _draw(xyz: Any, result: FilterResult, picture: Path) -> None:
-    from stereo_ore import pictures
+    from stereo_ore import filter_pictures
 
-    pictures.outlier_factors(xyz, result.score, picture)
+    filter_pictures.outlier_factors(xyz, result.score, picture)
     kept = picture.with_name(f"{picture.stem}-kept{picture.suffix}")
-    pictures.side_by_side(xyz, {str(result.diagnostics["method"]): result.keep}, kept)
+    filter_pictures.side_by_side(xyz, {str(result.diagnostics["method"]): result.keep}, kept)
 
 
 def _report(result: FilterResult) -> None:

@@ -47,7 +47,8 @@ def run(
     report: Annotated[
         bool, typer.Option("--report/--no-report", help="Check the calibration, write report.html.")
     ] = True,
-    save_stages: Annotated[bool, typer.Option("--save-stages", help="Also write stages/<frame>.npz.")] = False,
+    save_stages: Annotated[bool, typer.Option("--save-stages", help="Also write stages/FRAME.npz.")] = False,
+    pictures: Annotated[bool, typer.Option("--pictures", help="Also write pictures/FRAME.png: ores in space.")] = False,
     start: Annotated[int, typer.Option(min=0, help="First frame, counted from 0.")] = 0,
     stop: Annotated[int | None, typer.Option(min=0, help="Frame to stop before.")] = None,
     every: Annotated[
@@ -63,13 +64,15 @@ def run(
 
     Example: `stereo-ore run recording --calib calib/zed2_hd720.yaml --site site.yaml --out out`
     """
-    from stereo_ore import batch, pipeline
+    from stereo_ore import batch, figures, pipeline
     from stereo_ore.config import load_config
     from stereo_ore.sinks.frame_files import FrameFiles
     from stereo_ore.sinks.run_folder import RunFolder
     from stereo_ore.site import load_site
     from stereo_ore.types import Site
 
+    if pictures:
+        figures.require_matplotlib()
     recording = _open(source, left, right, (left_topic, right_topic), max_skew_ms)
     calibration = _calibration(recording, calib)
     place = load_site(site) if site else Site()
@@ -79,14 +82,14 @@ def run(
     if not indices:
         raise SourceError(f"has {_frames(len(recording.names))}, none of them selected", file=recording.path)
     _announce(place, len(indices))
-    job = batch.Job(recording, context, FrameFiles(out, save_stages), strict)
+    job = batch.Job(recording, context, FrameFiles(out, save_stages, pictures), strict)
     description = _description(
         recording, indices, context, {"calib": calib, "site": site, "config": config, "background": place.background}
     )
     with RunFolder(out, description, resume=resume, overwrite=overwrite) as folder:
         _write_inputs(out, context, site)
         todo = indices[folder.done :]
-        with _progress(len(indices), folder.done) as advance:
+        with _progress(len(indices), folder.done) as advance, _stoppable():
             for lines in batch.run(job, todo, workers):
                 folder.add(lines)
                 advance()
@@ -193,6 +196,16 @@ def _report(out: Path, recording: Source, indices: range, calibration: StereoCal
         typer.echo(f"report: {write_report(out)}")
     except MissingExtraError as error:
         log.warning("no report.html: %s", error)
+
+
+@contextmanager
+def _stoppable() -> Iterator[None]:
+    """Say after Ctrl-C how to go on."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        log.warning("stopped; the same command with --resume continues")
+        raise
 
 
 @contextmanager

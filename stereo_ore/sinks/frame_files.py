@@ -1,4 +1,4 @@
-"""The files of one frame: filtered cloud, overlay, stage arrays."""
+"""The files of one frame: filtered cloud, overlay and, where wanted, stage arrays and a picture in space."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from stereo_ore import overlay
+from stereo_ore import overlay, scene_picture
 from stereo_ore.sinks.atomic import write_bytes
 from stereo_ore.types import I32, U8, FilterResult, FrameResult, PointCloud, VoxelCloud
 
@@ -30,18 +30,23 @@ class FrameFiles:
 
     folder: Path
     save_stages: bool = False
+    pictures: bool = False
 
     def write(self, result: FrameResult) -> None:
         """Write what the frame has: nothing for a frame that could not be read."""
-        picture = overlay.draw(result)
-        if picture is not None:
-            encoded = cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, PNG_COMPRESSION])[1]
-            write_bytes(self.folder / "overlays" / f"{result.name}.png", encoded.tobytes())
+        self._write_image("overlays", result.name, overlay.draw(result))
+        if self.pictures:
+            self._write_image("pictures", result.name, scene_picture.draw(result))
         if result.cloud is not None and result.voxels is not None and result.filtered is not None:
             data = cloud_ply(result.cloud, result.voxels, result.filtered, _voxel_ids(result))
             write_bytes(self.folder / "clouds" / f"{result.name}.ply", data)
         if self.save_stages and result.disparity is not None:
             write_bytes(self.folder / "stages" / f"{result.name}.npz", stages_npz(result))
+
+    def _write_image(self, kind: str, name: str, image: U8 | None) -> None:
+        if image is not None:
+            encoded = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, PNG_COMPRESSION])[1]
+            write_bytes(self.folder / kind / f"{name}.png", encoded.tobytes())
 
 
 def cloud_ply(cloud: PointCloud, voxels: VoxelCloud, filtered: FilterResult, ore_id: I32) -> bytes:

@@ -160,7 +160,7 @@ class RunFolder:
         derived = ("ores.csv", "report.html", "calibration_check.json")
         for name in (*LINES, *(f"{name}.part" for name in LINES), *derived):
             (self.folder / name).unlink(missing_ok=True)
-        for child in ("clouds", "overlays", "stages"):
+        for child in ("clouds", "overlays", "stages", "pictures"):
             for file in (self.folder / child).glob("*"):
                 file.unlink()
 

@@ -35,7 +35,7 @@ def filter_(
 ) -> None:
     """Compare filters: quality (equation 7) and time. Baselines get the best of a grid on each cloud; ours do not.
 
-    Example: `stereo-ore bench filter --out bench --scenes ../shared/data/scenes_dev --readme README.md`
+    Example: `stereo-ore bench filter --out bench --scenes scenes --readme README.md`
     """
     from stereo_ore.bench import filters as bench
     from stereo_ore.bench import labelled, tables
@@ -86,11 +86,11 @@ def _stereo(seeds: int, families: list[str], scenes: Path | None) -> tuple[int, 
 
 def _draw(labelled: LabelledCloud, out: Path) -> None:
     """The paper's Figures 4 and 5 on the first cloud."""
-    from stereo_ore import filters, pictures
+    from stereo_ore import filter_pictures, filters
     from stereo_ore.config import FilterConfig
 
     cloud = labelled.voxels
     methods = ("none", "radius", "statistical", "paper", "paper-tuned", "adaptive")
     results = {method: filters.apply(cloud, FilterConfig(method=method)) for method in methods}
-    pictures.outlier_factors(cloud.xyz, results["paper"].score, out / "outlier-factors.png")
-    pictures.side_by_side(cloud.xyz, {name: r.keep for name, r in results.items()}, out / "side-by-side.png")
+    filter_pictures.outlier_factors(cloud.xyz, results["paper"].score, out / "outlier-factors.png")
+    filter_pictures.side_by_side(cloud.xyz, {name: r.keep for name, r in results.items()}, out / "side-by-side.png")

@@ -7,7 +7,7 @@ from analytic import Ellipsoid, View, look_down
 
 from stereo_ore.config.models import SolidConfig, StrikeConfig
 from stereo_ore.errors import MissingExtraError
-from stereo_ore.picture import picture
+from stereo_ore.scene_picture import draw
 from stereo_ore.solid import solids
 from stereo_ore.strike import plans
 from stereo_ore.types import FrameResult, Ore, Site
@@ -31,7 +31,7 @@ def result() -> FrameResult:
 
 
 def test_solids_and_strikes_are_drawn(result: FrameResult) -> None:
-    image = picture(result)
+    image = draw(result)
     assert image is not None
     assert image.shape == (750, 1000, 3)
     assert image.dtype == np.uint8
@@ -44,28 +44,28 @@ def test_colours_tell_size(result: FrameResult) -> None:
     solid = result.ores[0].solid
     assert solid is not None
     passes = replace(result, ores=(replace(result.ores[0], solid=replace(solid, oversize=False)),))
-    image = picture(passes)
+    image = draw(passes)
     assert image is not None
     assert (image[..., 1].astype(int) - image[..., 2] > 20).sum() > 3000
 
 
 def test_equal_frames_give_equal_pictures(result: FrameResult) -> None:
-    one, other = picture(result), picture(result)
+    one, other = draw(result), draw(result)
     assert one is not None
     assert other is not None
     assert one.tobytes() == other.tobytes()
 
 
 def test_frames_that_stopped_early(result: FrameResult) -> None:
-    assert picture(replace(result, grizzly=None)) is None
-    bare = picture(replace(result, ores=(), surface=None))
+    assert draw(replace(result, grizzly=None)) is None
+    bare = draw(replace(result, ores=(), surface=None))
     assert bare is not None
     assert bare.std() > 0
     without = replace(result, ores=(replace(result.ores[0], solid=None),))
-    assert picture(without) is not None
+    assert draw(without) is not None
 
 
 def test_without_matplotlib_one_line_says_what_to_install(result: FrameResult, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(MissingExtraError, match="matplotlib"):
-        picture(result)
+        draw(result)

@@ -22,7 +22,7 @@ ARROW = 0.12
 """Length of a strike's arrow as share of the picture's extent."""
 
 
-def picture(result: FrameResult) -> U8 | None:
+def draw(result: FrameResult) -> U8 | None:
     """Draw the solids (oversize red, unknown amber, else green) with centres of gravity and strikes as arrows.
 
     The frame drawn is the screen's: x across the bars, z along the normal, metres.
