@@ -82,8 +82,8 @@ def eigen(moments: F32) -> tuple[F64, F64]:
     Parameters
     ----------
     moments : (M, 6) array
-        Entries xx, yy, zz, xy, xz, yz. The trigonometric solution (Smith 1961); the eigenvector is the longest cross
-        product of two rows of C − λ_0·1, and any direction where all vanish.
+        Entries xx, yy, zz, xy, xz, yz. The trigonometric solution (Smith 1961); the eigenvector is the longest column
+        of the adjugate of C − λ_0·1, and any direction where all vanish.
     """
     xx, yy, zz, xy, xz, yz = moments.astype(np.float64).T
     mean = (xx + yy + zz) / 3
@@ -98,19 +98,18 @@ def eigen(moments: F32) -> tuple[F64, F64]:
 
 
 def _null_vector(a: F64, b: F64, c: F64, d: F64, e: F64, f: F64) -> F64:
-    """Unit vector (M, 3) that singular matrices [[a, d, e], [d, b, f], [e, f, c]] map to zero."""
-    crosses = np.stack(
-        [
-            [d * f - e * b, e * d - a * f, a * b - d * d],
-            [d * c - e * f, e * e - a * c, a * f - d * e],
-            [b * c - f * f, f * e - d * c, d * f - b * e],
-        ]
-    )
-    squares = np.einsum("ijm,ijm->im", crosses, crosses)
-    longest = squares.argmax(0)
-    vector, square = np.choose(longest[None], crosses), np.choose(longest, squares)
-    vector[:, square == 0] = np.array([[0], [0], [1]])
-    return np.asarray(vector / np.sqrt(np.where(square == 0, 1, square))).T
+    """Unit vector (M, 3) that singular matrices [[a, d, e], [d, b, f], [e, f, c]] map to zero.
+
+    Each column of the adjugate is a multiple of it, the longest that with the largest element on the diagonal.
+    """
+    xx, yy, zz = b * c - f * f, a * c - e * e, a * b - d * d
+    xy, xz, yz = e * f - d * c, d * f - e * b, d * e - a * f
+    first, second = (xx >= yy) & (xx >= zz), yy >= zz
+    rows = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
+    vector = np.stack([np.where(first, u, np.where(second, v, w)) for u, v, w in rows])
+    length = np.sqrt(np.einsum("im,im->m", vector, vector))
+    vector[:, length == 0] = np.array([[0], [0], [1]])
+    return np.asarray(vector / np.where(length == 0, 1, length)).T
 
 
 def votes(x: F32, index: Index, weight: F32, planes: Planes, at: F32, scales: tuple[float, float] = SCALES) -> F32:
