@@ -1,0 +1,69 @@
+"""What the README and the calibration guide name exists: verbs, options and extras."""
+
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+from stereo_ore.cli import app, load_verbs
+
+ROOT = Path(__file__).parents[1]
+GUIDES = ("README.md", "calib/README.md")
+COMMAND = re.compile(r"stereo-ore ((?!--)[a-z][^`\n#]*)")
+
+
+def root() -> Any:
+    load_verbs()
+    return typer.main.get_command(app)
+
+
+def commands(group: Any) -> dict[str, Any]:
+    """Every command by its full name, such as "calibrate check"."""
+    found = {}
+    for name, command in group.commands.items():
+        found[name] = command
+        if hasattr(command, "commands"):
+            found |= {f"{name} {sub}": entry for sub, entry in commands(command).items()}
+    return found
+
+
+def options(command: Any) -> set[str]:
+    return {text for parameter in command.params for text in (*parameter.opts, *parameter.secondary_opts)} | {"--help"}
+
+
+def named(guide: str) -> list[str]:
+    return [line.strip() for line in COMMAND.findall((ROOT / guide).read_text(encoding="utf-8"))]
+
+
+@pytest.mark.parametrize("guide", GUIDES)
+def test_every_command_shown_has_its_verb_and_options(guide: str) -> None:
+    known, lines = commands(root()), named(guide)
+    assert len(lines) > 2
+    for line in lines:
+        words = line.split()
+        verb = " ".join(words[:2]) if " ".join(words[:2]) in known else words[0]
+        assert verb in known, line
+        given = {word.split("=")[0] for word in words if word.startswith("--")}
+        assert given <= options(known[verb]), line
+
+
+@pytest.mark.parametrize("guide", GUIDES)
+def test_every_option_named_exists_somewhere(guide: str) -> None:
+    text = (ROOT / guide).read_text(encoding="utf-8")
+    known = set().union(*(options(command) for command in commands(root()).values()))
+    assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", text)) <= known
+
+
+def test_every_verb_is_in_the_table() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert [verb for verb in root().commands if not re.search(rf"`(?:stereo-ore )?{verb}\b", text)] == []
+
+
+def test_every_extra_is_in_the_table() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    table = text.partition("## Extras")[2].partition("\n## ")[0]
+    assert [name for name in extras if name not in ("test", "dev") and f"`{name}`" not in table] == []
