@@ -98,8 +98,9 @@ def _descend(thickness: F32, found: Cores, level: float, ratio: float) -> Cores:
         into[thin] = thickest
         if len(thin) == len(members[part]) - 1:
             fill[part] = thickest
-    grown = fill[parts]
-    return Cores(np.where(grown > 0, grown, into[found.labels]), peaks, places)
+    labels = np.take(fill, parts)
+    np.copyto(labels, np.take(into, found.labels), where=labels == 0)
+    return Cores(labels, peaks, places)
 
 
 def _thickest(thickness: F32, parts: I32, part: int, stats: I32) -> tuple[int, int]:
