@@ -17,6 +17,8 @@ __all__ = ["find"]
 MIN_POINTS = 200
 CLEAR_CONTRAST = 0.25
 """Contrast of bars that need not be counted."""
+MOST_ROUGH = 0.25
+"""Residual of a plane [clear distances between its bars] above which noise would pass for bars."""
 
 
 def find(surface: Surface, site: Site, config: GrizzlyConfig) -> Grizzly:
@@ -66,7 +68,7 @@ def _found(sample: Sample, site: Site, config: GrizzlyConfig) -> Grizzly:
     for plane, area in candidate_planes(sample, config):
         fit = fit_bars(sample, plane, site.opening_m, site.bar_width_m)
         score = area * fit.contrast
-        if _is_screen(fit, site, config) and (best is None or score > best[0]):
+        if _is_screen(sample, plane, fit, site, config) and (best is None or score > best[0]):
             best = score, plane, fit
     if best is None:
         raise FrameError(
@@ -82,7 +84,7 @@ def _found(sample: Sample, site: Site, config: GrizzlyConfig) -> Grizzly:
     return _grizzly(plane, "auto", rms, site, {"inlier_share": inliers}, fit)
 
 
-def _is_screen(fit: BarFit, site: Site, config: GrizzlyConfig) -> bool:
+def _is_screen(sample: Sample, plane: Plane, fit: BarFit, site: Site, config: GrizzlyConfig) -> bool:
     """Whether bars were seen: the less the site says of the screen, the more of them are wanted."""
     if fit.bars is None or fit.contrast < config.min_contrast:
         return False
@@ -90,7 +92,9 @@ def _is_screen(fit: BarFit, site: Site, config: GrizzlyConfig) -> bool:
         return True
     if site.volume is not None:
         return fit.seen >= 2 or fit.contrast >= CLEAR_CONTRAST
-    return fit.seen >= config.min_bars
+    rms, _ = residual(sample, plane, fit)
+    gap = fit.bars.pitch_m - fit.bars.width_m
+    return fit.seen >= config.min_bars and rms is not None and rms < MOST_ROUGH * gap
 
 
 def _grizzly(
