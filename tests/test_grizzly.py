@@ -116,6 +116,15 @@ def test_a_floor_without_bars_is_no_screen(site):
         grizzly.find(floor, site, CONFIG)
 
 
+def test_bars_as_rough_as_their_gaps_need_a_description():
+    noise_px = 0.5
+    surface, _ = draw(Screen(noise_px=noise_px))
+    rough = replace(surface, sigma_z=surface.sigma_z * np.float32(noise_px / 0.15))
+    assert grizzly.find(rough, KNOWN, CONFIG).opening_m == OPENING
+    with pytest.raises(FrameError, match="no plane of bars"):
+        grizzly.find(rough, Site(), CONFIG)
+
+
 def test_a_cloud_without_a_plane_is_no_screen():
     surface, _ = draw(Screen())
     z = np.random.default_rng(0).uniform(0.5, 3, surface.sigma_z.shape).astype(np.float32)
