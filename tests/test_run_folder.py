@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from stereo_ore.cli import launch
 from stereo_ore.errors import OutputError
 from stereo_ore.sinks.atomic import write_bytes, write_text
 from stereo_ore.sinks.run_folder import LINES, FrameLines, RunFolder, digest
@@ -105,3 +106,16 @@ def test_a_file_where_a_folder_should_be_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "out").write_text("")
     with pytest.raises(OutputError, match="can't be written"):
         write_text(tmp_path / "out" / "run.json", "{}")
+
+
+@pytest.mark.parametrize(
+    "arguments", [["tune"], ["bench", "filter", "--out"], ["bench", "stereo", "data", "--out"]], ids=" ".join
+)
+def test_a_folder_that_cannot_be_made_is_refused_before_the_work(
+    arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(SystemExit) as stop:
+        launch([*arguments, str(tmp_path / "file")])
+    assert stop.value.code == 1
+    assert "can't be written" in capsys.readouterr().err

@@ -57,16 +57,17 @@ def _search(out: Path, method: str, files: list[Path], seeds: int, cost: Path | 
     from stereo_ore.bench import labelled
     from stereo_ore.config.loader import validate
     from stereo_ore.figures import if_possible
+    from stereo_ore.sinks.atomic import make_folder
     from stereo_ore.yaml_io import load_yaml
 
     weights = validate(tuning.CostWeights, load_yaml(cost, ConfigError) if cost else {}, cost or "cost", ConfigError)
     start = labelled.TUNING_SEED
     made = [] if files else labelled.paper_clouds(range(start, start + seeds))
     clouds = [*map(labelled.labelled_file, files), *made]
+    make_folder(out)
     with _progress() as progress:
         task = progress.add_task(f"tune {method}", total=None)
         tuned = tuning.search(method, clouds, weights, lambda: progress.advance(task))
-    out.mkdir(parents=True, exist_ok=True)
     text = yaml.safe_dump(tuned.config(), sort_keys=False)
     (out / "config.yaml").write_text(text, encoding="utf-8")
     if_possible(lambda: tuning.plot(tuned, out / "cost.png"))
@@ -77,15 +78,16 @@ def _search(out: Path, method: str, files: list[Path], seeds: int, cost: Path | 
 def _train(out: Path, kind: str, seeds: int, scenes: list[Path]) -> None:
     from stereo_ore import training
     from stereo_ore.bench.labelled import TUNING_SEED, scene_stereo
+    from stereo_ore.sinks.atomic import make_folder
 
     if kind not in ("geometry", "stereo"):
         raise ConfigError(f"{kind!r} is no scorer", key="--train", remedy="Use geometry or stereo")
+    make_folder(out)
     wanted = range(TUNING_SEED, TUNING_SEED + seeds)
     stereo = kind == "stereo"
     source = training.stereo_clouds(wanted) if stereo else training.geometry_clouds(wanted)
     clouds = [*map(scene_stereo, scenes), *_watched(source, seeds if stereo else 15 * seeds)]
     scorer = training.train(clouds, kind)
-    out.mkdir(parents=True, exist_ok=True)
     path = out / f"{kind}.json"
     path.write_text(scorer.to_json(), encoding="utf-8")
     typer.echo(path)

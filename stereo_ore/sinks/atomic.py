@@ -8,6 +8,8 @@ from pathlib import Path
 
 from stereo_ore.errors import OutputError
 
+REMEDY = "Check path, space and permissions"
+
 
 def write_bytes(path: Path, data: bytes) -> None:
     """Write `data` as `path` in one step.
@@ -24,9 +26,7 @@ def write_bytes(path: Path, data: bytes) -> None:
         os.replace(temporary, path)
     except OSError as fault:
         temporary.unlink(missing_ok=True) if temporary.parent.is_dir() else None
-        raise OutputError(
-            f"can't be written: {fault.strerror}", file=path, remedy="Check space and permissions; --resume continues"
-        ) from None
+        raise OutputError(f"can't be written: {fault.strerror}", file=path, remedy=REMEDY) from None
 
 
 def write_text(path: Path, text: str) -> None:
@@ -39,6 +39,9 @@ def guarded(path: Path, action: Callable[[], object]) -> None:
     try:
         action()
     except OSError as fault:
-        raise OutputError(
-            f"can't be written: {fault.strerror}", file=path, remedy="Check space and permissions; --resume continues"
-        ) from None
+        raise OutputError(f"can't be written: {fault.strerror}", file=path, remedy=REMEDY) from None
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder, before work whose results go there."""
+    guarded(path, lambda: path.mkdir(parents=True, exist_ok=True))

@@ -21,7 +21,7 @@ from typing import IO, Any
 
 from stereo_ore import __version__
 from stereo_ore.errors import OutputError
-from stereo_ore.sinks.atomic import guarded, write_text
+from stereo_ore.sinks.atomic import guarded, make_folder, write_text
 
 LINES = ("frames.jsonl", "timings.jsonl", "inputs.jsonl")
 PACKAGES = ("numpy", "scipy", "scikit-learn", "opencv-contrib-python-headless", "open3d-cpu", "open3d", "pydantic")
@@ -73,7 +73,7 @@ class RunFolder:
         self.folder = folder
         self.description = dict(description, digest=digest(description))
         earlier = self._check_earlier(resume, overwrite)
-        guarded(folder, lambda: folder.mkdir(parents=True, exist_ok=True))
+        make_folder(folder)
         if earlier and not resume:
             self._remove_results()
         self.done = self._trim() if resume else 0

@@ -39,14 +39,15 @@ def filter_(
     """
     from stereo_ore.bench import filters as bench
     from stereo_ore.bench import labelled, tables
+    from stereo_ore.sinks.atomic import make_folder
 
+    make_folder(out)
     stereo_total, stereo_clouds = _stereo(stereo_seeds, family or ["paper", "large", "hard"], scenes)
     paper = _judge(labelled.paper_clouds(range(seeds)), 9 * seeds, "paper's protocol")
     stereo = _judge(stereo_clouds, stereo_total, "stereo clouds")
     first = next(labelled.paper_clouds(range(1)))
     document = {"paper": paper, "stereo": stereo, "speed": bench.speed(first.voxels)}
     text = tables.markdown(document)
-    out.mkdir(parents=True, exist_ok=True)
     (out / "bench-filter.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
     (out / "bench-filter.md").write_text(text, encoding="utf-8")
     _draw(first, out)

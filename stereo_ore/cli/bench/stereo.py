@@ -26,18 +26,20 @@ def stereo(
 ) -> None:
     """Compare matchers: errors over all, seen and ore pixels, density, time. OpenCV's run with their sample settings.
 
-    Example: `stereo-ore bench stereo ../shared/data/stereo_gt ../shared/data/scenes_dev --out bench`
+    Example: `stereo-ore bench stereo data --out bench`
     """
     from stereo_ore.bench import stereo as bench
     from stereo_ore.bench import stereo_sets, tables
+    from stereo_ore.sinks.atomic import make_folder
 
+    if out:
+        make_folder(out)
     rows: list[bench.Row] = []
     for data in (data for folder in folders for data in stereo_sets.find_sets(folder)):
         log.info("%s", data.name)
         rows += bench.judge_all([data], repeats)
     text = bench.markdown(rows)
     if out:
-        out.mkdir(parents=True, exist_ok=True)
         (out / "bench-stereo.json").write_text(json.dumps([asdict(row) for row in rows], indent=1) + "\n", "utf-8")
         (out / "bench-stereo.md").write_text(text, "utf-8")
     if readme:
