@@ -269,9 +269,7 @@ const wait = setInterval(() => {
     rows("frames").at(-1).click();
     found.clicked = document.querySelector("#frame-title").textContent;
     const text = Object.assign(document.createElement("pre"), { id: "found", textContent: JSON.stringify(found) });
-    const write = () =>
-      document.body.dataset.cloud === "drawing" ? setTimeout(write, 50) : document.body.replaceChildren(text);
-    write();
+    document.body.append(text);
   });
 }, 100);
 </script>
