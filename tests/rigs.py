@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import yaml
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from stereo_ore.calibration.detect import Board
 from stereo_ore.calibration.geometry import make_calibration
@@ -95,7 +96,8 @@ def write_zed(
         values = dict(zip(("k1", "k2", "p1", "p2", "k3"), eye.distortion, strict=True))
         values |= dict(zip(("fx", "fy", "cx", "cy"), (*eye.focal_px, *eye.principal_point_px), strict=True))
         lines += [f"[{name}_CAM_{mode}]"] + [f"{key}={value!r}" for key, value in values.items() if key not in left_out]
-    turn = cv2.Rodrigues(rig.R_right_left)[0].ravel()
+    # Not cv2.Rodrigues: from a matrix it is wrong in the tenth digit for turns of 1e-5 rad.
+    turn = Rotation.from_matrix(rig.R_right_left).as_rotvec()
     x, y, z = 1000 * rig.t_right_left
     end = f"_{mode}" if suffix else ""
     lines += ["[STEREO]", f"Baseline={float(-x)!r}", f"TY{end}={float(y)!r}", f"TZ{end}={float(z)!r}"]
