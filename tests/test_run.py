@@ -6,12 +6,12 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from runs import smaller_scene
 
 from stereo_ore.calibration import dump, load
 from stereo_ore.cli import launch
@@ -21,8 +21,6 @@ ROOT = Path(__file__).parents[1]
 SCENE = ROOT / "data" / "paper_03"
 SCHEMA = ROOT / "stereo_ore" / "schema" / "frame-1.json"
 COMPARED = ("frames.jsonl", "ores.csv")
-
-Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
 def stereo_ore(*arguments: object) -> subprocess.CompletedProcess[str]:
@@ -40,19 +38,7 @@ def failure(done: subprocess.CompletedProcess[str], code: int = 1) -> str:
 def half(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The demo scene at half its size, so that a run takes a second: left.png, right.png, calibration and site."""
     folder = tmp_path_factory.mktemp("half")
-    for eye in ("left", "right"):
-        image = cv2.imread(str(SCENE / f"{eye}.png"))
-        cv2.imwrite(str(folder / f"{eye}.png"), cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
-    text = (SCENE / "calibration.yaml").read_text()
-    for full, small in (
-        ("[1280, 720]", "[640, 360]"),
-        ("[529.6, 529.3]", "[264.8, 264.65]"),
-        ("[642.3, 361.7]", "[320.9, 180.6]"),
-    ):
-        assert full in text
-        text = text.replace(full, small)
-    (folder / "calibration.yaml").write_text(text)
-    shutil.copy(SCENE / "site.yaml", folder)
+    smaller_scene(folder, 2)
     return folder
 
 

@@ -69,12 +69,6 @@ def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
     )
 
 
-def modes(text: str) -> dict[str, tuple[int, int]]:
-    """The modes that a factory file holds, with their image sizes."""
-    names = {match.split("_CAM_")[1] for match in re.findall(r"\[(LEFT_CAM_\w+)\]", text.upper())}
-    return {mode: size for mode, size in SIZES.items() if mode in names}
-
-
 def _parse(path: Path, text: str) -> dict[str, Values]:
     """Sections and keys in lower case, values as numbers; text values are left out."""
     parser = configparser.ConfigParser(interpolation=None, inline_comment_prefixes=(";", "#"))
