@@ -31,7 +31,11 @@ class Results:
 
     @cached_property
     def records(self) -> tuple[Json, ...]:
-        """The records of all frames.
+        """The records of all frames; as `each_record`."""
+        return tuple(self.each_record())
+
+    def each_record(self) -> Iterator[Json]:
+        """The records one after the other: a long run need not fit into memory.
 
         Raises
         ------
@@ -41,11 +45,15 @@ class Results:
         file = self._lines("frames")
         if file is None:
             raise SourceError("holds no frames.jsonl", file=self.folder, remedy="Name the --out folder of a run")
-        records = tuple(_objects(file))
-        for number, record in enumerate(records, 1):
+        for number, record in enumerate(_objects(file), 1):
             if record.get("schema") != SCHEMA:
                 raise SourceError(f"line {number} is no record of {SCHEMA}", file=file, remedy="Repeat the run")
-        return records
+            yield record
+
+    def inputs(self) -> Iterator[Json]:
+        """Files and their SHA-256 of each frame, as far as the run noted them."""
+        part = self.folder / "inputs.jsonl.part"
+        yield from _objects(part) if part.is_file() else self.run.get("inputs", ())
 
     @cached_property
     def timings(self) -> Mapping[str, Json]:
@@ -81,6 +89,12 @@ class Results:
         return load_config(file if file.is_file() else None, ())
 
     @cached_property
+    def camera(self) -> str | None:
+        """What the calibration calls the camera."""
+        file = self.folder / "calibration.yaml"
+        return calibration.load(file).camera if file.is_file() else None
+
+    @cached_property
     def rig(self) -> Rig | None:
         """Geometry of the rectified images."""
         file = self.folder / "calibration.yaml"
@@ -110,7 +124,7 @@ class Results:
 
     def _object(self, name: str) -> Json | None:
         file = _existing(self.folder / name)
-        return next(_objects(file, whole=True)) if file else None
+        return _object(file.read_text(encoding="utf-8", errors="replace"), file, 1) if file else None
 
     def _lines(self, name: str) -> Path | None:
         return _existing(self.folder / f"{name}.jsonl") or _existing(self.folder / f"{name}.jsonl.part")
@@ -120,14 +134,19 @@ def _existing(file: Path) -> Path | None:
     return file if file.is_file() else None
 
 
-def _objects(file: Path, whole: bool = False) -> Iterator[Json]:
-    """The JSON objects of a file: one a line, a last line that is cut off left out; or one of the whole file."""
-    text = file.read_text(encoding="utf-8", errors="replace")
-    for number, part in enumerate([text] if whole else text.split("\n")[:-1], 1):
-        try:
-            value = json.loads(part)
-        except ValueError:
-            value = None
-        if not isinstance(value, dict):
-            raise SourceError(f"line {number} is no JSON object", file=file, remedy="Repeat the run")
-        yield value
+def _objects(file: Path) -> Iterator[Json]:
+    """The JSON objects of a file, one a line; a last line that is cut off is left out."""
+    with file.open(encoding="utf-8", errors="replace", newline="\n") as lines:
+        for number, line in enumerate(lines, 1):
+            if line.endswith("\n"):
+                yield _object(line, file, number)
+
+
+def _object(text: str, file: Path, number: int) -> Json:
+    try:
+        value = json.loads(text)
+    except ValueError:
+        value = None
+    if not isinstance(value, dict):
+        raise SourceError(f"line {number} is no JSON object", file=file, remedy="Repeat the run")
+    return value

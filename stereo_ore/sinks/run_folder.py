@@ -6,9 +6,7 @@ an unfinished run for a finished one, and a killed run is continued from its las
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import json
 import platform
 import sys
@@ -22,26 +20,10 @@ from typing import IO, Any
 from stereo_ore import __version__
 from stereo_ore.errors import OutputError
 from stereo_ore.sinks.atomic import guarded, make_folder, write_text
+from stereo_ore.sinks.ore_table import ores_csv
 
 LINES = ("frames.jsonl", "timings.jsonl", "inputs.jsonl")
 PACKAGES = ("numpy", "scipy", "scikit-learn", "opencv-contrib-python-headless", "open3d-cpu", "open3d", "pydantic")
-
-CSV_FIELDS = (
-    "frame",
-    "id",
-    "target_rank",
-    "oversize",
-    "cut",
-    *(f"{name}_{axis}_m" for name in ("cog_camera", "cog_arm", "cog_sigma") for axis in "xyz"),
-    "volume_m3",
-    *(f"size_{name}_m" for name in ("longest", "middle", "shortest")),
-    *(f"strike_{frame}_{axis}_m" for frame in ("camera", "arm") for axis in "xyz"),
-    *(f"direction_{frame}_{axis}" for frame in ("camera", "arm") for axis in "xyz"),
-    "slope_deg",
-    "points",
-    "pixels",
-    "reasons",
-)
 
 
 @dataclass(frozen=True)
@@ -186,40 +168,3 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return found
-
-
-def ores_csv(frames: Path) -> str:
-    """A row an ore from the records of a run; units are in the column names."""
-    buffer = io.StringIO()
-    writer = csv.DictWriter(buffer, CSV_FIELDS, lineterminator="\n")
-    writer.writeheader()
-    with frames.open(encoding="utf-8") as lines:
-        for line in lines:
-            frame = json.loads(line)
-            for ore in frame["ores"]:
-                writer.writerow(_row(frame, ore))
-    return buffer.getvalue()
-
-
-def _row(frame: dict[str, Any], ore: dict[str, Any]) -> dict[str, Any]:
-    rank = frame["targets"].index(ore["id"]) + 1 if ore["id"] in frame["targets"] else None
-    row = {key: ore[key] for key in ("id", "oversize", "cut", "volume_m3", "points", "pixels")}
-    row |= {"frame": frame["frame"], "target_rank": rank, "reasons": " ".join(r["code"] for r in ore["reasons"])}
-    centre = ore["centre_of_gravity"] or {}
-    for name, values in (
-        ("camera", centre.get("camera")),
-        ("arm", centre.get("arm")),
-        ("sigma", centre.get("sigma_m")),
-    ):
-        row |= _vector(f"cog_{name}", "_m", values)
-    row |= dict(zip(("size_longest_m", "size_middle_m", "size_shortest_m"), ore["size_m"] or (), strict=False))
-    if strike := ore["strike"]:
-        row["slope_deg"] = strike["slope_deg"]
-        for name in ("camera", "arm"):
-            row |= _vector(f"strike_{name}", "_m", strike["point"][name])
-            row |= _vector(f"direction_{name}", "", strike["direction"][name])
-    return row
-
-
-def _vector(prefix: str, suffix: str, values: list[float] | None) -> dict[str, float]:
-    return {f"{prefix}_{axis}{suffix}": value for axis, value in zip("xyz", values or (), strict=False)}
