@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 
 class StereoOreError(Exception):
@@ -24,10 +25,26 @@ class StereoOreError(Exception):
         self, problem: str, *, file: str | Path | None = None, key: str | None = None, remedy: str | None = None
     ) -> None:
         self.problem, self.file, self.key, self.remedy = problem, file, key, remedy
-        where = ": ".join(str(part) for part in (file, key) if part)
+        where = ": ".join(_shown(str(part), "") for part in (file, key) if part)
+        problem = _shown(problem, "\n")
         text = f"{where}: {problem}" if where else problem
         stop = "" if problem.endswith("?") else "."
         super().__init__(f"{text}{stop} {remedy}" if remedy else text)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Errors come from worker processes: by default pickle would call `__init__` without the keywords."""
+        return _rebuilt, (type(self), *self.args), self.__dict__
+
+
+def _rebuilt(kind: type[StereoOreError], *args: str) -> StereoOreError:
+    return kind.__new__(kind, *args)
+
+
+def _shown(text: str, allowed: str) -> str:
+    """Text for a line on a terminal: control characters and bytes that are no UTF-8 are written as escapes."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c in allowed else c.encode("unicode_escape").decode() for c in text)
 
 
 class ConfigError(StereoOreError):
@@ -67,6 +84,10 @@ class CloudError(StereoOreError):
 
 class OutputError(StereoOreError):
     """A result that can't be written."""
+
+
+class ClusterError(StereoOreError):
+    """A cluster that can't be reached, or whose workers can't do the work."""
 
 
 class MissingExtraError(StereoOreError):

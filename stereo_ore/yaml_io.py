@@ -9,7 +9,11 @@ import yaml
 
 from stereo_ore.errors import StereoOreError
 
-MAX_BYTES = 4_000_000
+MAX_BYTES = 1_000_000
+"""A megabyte of YAML takes a quarter of a minute; files written by hand or by a camera have kilobytes."""
+
+LONGEST_NUMBER = 400
+"""Characters of a number; Python takes time that grows with their square."""
 
 
 class _StrictLoader(yaml.SafeLoader):
@@ -19,7 +23,15 @@ class _StrictLoader(yaml.SafeLoader):
         if self.check_event(yaml.AliasEvent):
             event = self.peek_event()  # type: ignore[no-untyped-call,unused-ignore]
             raise yaml.MarkedYAMLError(None, None, "aliases (*name) are not allowed", event.start_mark)
+        event = self.peek_event()  # type: ignore[no-untyped-call,unused-ignore]
+        if getattr(event, "tag", None) is not None:
+            raise yaml.MarkedYAMLError(None, None, f"tags ({event.tag[:40]!r}) are not allowed", event.start_mark)
         return super().compose_node(parent, index)  # type: ignore[no-untyped-call,unused-ignore]
+
+    def construct_scalar(self, node: Any) -> Any:
+        if node.tag.endswith((":int", ":float")) and len(node.value) > LONGEST_NUMBER:
+            raise yaml.MarkedYAMLError(None, None, "a number has too many digits", node.start_mark)
+        return super().construct_scalar(node)  # type: ignore[no-untyped-call,unused-ignore]
 
     def construct_mapping(self, node: Any, deep: bool = False) -> Any:
         seen = set()
@@ -48,15 +60,20 @@ def load_yaml(path: Path, error: type[StereoOreError]) -> dict[str, Any]:
 def read_text(path: Path, error: type[StereoOreError]) -> str:
     """A text file of bounded size; `error` when it can't be read."""
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise error(f"has {path.stat().st_size:,} bytes; at most {MAX_BYTES:,} are read", file=path)
-        return path.read_text(encoding="utf-8-sig")
+        with path.open("rb") as file:
+            data = file.read(MAX_BYTES + 1)
     except FileNotFoundError:
         raise error("no such file", file=path, remedy="Check the path") from None
-    except OSError as fault:
-        raise error(f"can't be read: {fault.strerror}", file=path) from None
+    except (OSError, ValueError) as fault:  # ValueError: a NUL in the name
+        raise error(f"can't be read: {getattr(fault, 'strerror', None) or fault}", file=path) from None
+    if len(data) > MAX_BYTES:
+        raise error(
+            f"has more than {MAX_BYTES:,} bytes; no more are read", file=path, remedy="Is it the right file?"
+        )
+    try:
+        return data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError:
-        raise error("is not a text file (UTF-8)", file=path) from None
+        raise error("is not a text file (UTF-8)", file=path, remedy="Save it as UTF-8") from None
 
 
 def parse_yaml(text: str, path: Path, error: type[StereoOreError]) -> dict[str, Any]:
@@ -66,7 +83,7 @@ def parse_yaml(text: str, path: Path, error: type[StereoOreError]) -> dict[str, 
     except (yaml.YAMLError, ValueError, RecursionError) as fault:
         mark = getattr(fault, "problem_mark", None)
         line = f" (line {mark.line + 1})" if mark else ""
-        problem = getattr(fault, "problem", None) or str(fault) or type(fault).__name__
+        problem = " ".join((getattr(fault, "problem", None) or str(fault) or type(fault).__name__).split())
         raise error(f"is not valid YAML{line}: {problem}", file=path) from None
     if not isinstance(data, dict):
         raise error(f"must hold a mapping, not {type(data).__name__}", file=path)

@@ -129,8 +129,8 @@ DAMAGED = {
     "huge.npy": (npy((10**11, 3)), "claims"),
     "object.npy": (npy((1, 3), "|O"), "never loaded"),
     "flat.npy": (npy((3,)) + bytes(24), "shape"),
-    "cut.npy": (npy((2, 3))[:20], "not a whole NPY"),
-    "not.npy": (b"hello", "not a whole NPY"),
+    "cut.npy": (npy((2, 3))[:20], "not a whole NP"),
+    "not.npy": (b"hello", "not a whole NP"),
     "not.npz": (b"hello", "not a whole NPZ"),
     "words.csv": (b"1,2,3\n4,five,6\n", "not numbers"),
     "ragged.xyz": (b"1 2 3\n4 5\n", "not numbers"),
@@ -157,7 +157,7 @@ def test_damaged_files_are_clear_errors_and_cost_no_memory(name: str, tmp_path: 
 
 
 def test_npz_that_unpacks_to_more_than_allowed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("stereo_ore.cloud_io.npy.MAX_UNPACKED_BYTES", 1000)
+    monkeypatch.setattr("stereo_ore.npz_io.MAX_UNPACKED_BYTES", 1000)
     path = tmp_path / "bomb.npz"
     np.savez_compressed(path, xyz=np.zeros((1000, 3)))
     with pytest.raises(CloudError, match="claims arrays"):

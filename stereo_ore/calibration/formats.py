@@ -61,7 +61,7 @@ def numbers(path: Path, key: str, values: Any, count: int | None = None) -> F64:
     """A flat list of finite numbers, of a certain length if one is given."""
     try:
         array = np.array(values, dtype=np.float64).ravel()
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise CalibrationError(f"must be numbers, not {values!r:.80}", file=path, key=key) from None
     if not np.isfinite(array).all():
         raise CalibrationError(f"must be finite numbers, not {array.tolist()!r:.80}", file=path, key=key)

@@ -18,6 +18,9 @@ Images = Literal["rectified", "raw"]
 
 LONGEST_BASELINE_M = 2.0
 WIDEST_TURN_RAD = 1.0
+LARGEST_SIDE_PX = 2**15 - 1
+"""OpenCV's remap counts pixels in 16 bits."""
+
 ROTATION_DECIMALS = 12
 """Rotation vectors are kept to 1e-12 rad, so that a calibration written and read again is the same to the last bit."""
 
@@ -52,7 +55,8 @@ def make_calibration(
     """
     R, t = np.asarray(rotation, float), np.asarray(translation_m, float).ravel()
     R = rotation_matrix(R) if R.size == 3 else R
-    faults = [*_eye_faults("left", left, image_size), *_eye_faults("right", right, image_size)]
+    faults = [*_size_faults(image_size)]
+    faults += [*_eye_faults("left", left, image_size), *_eye_faults("right", right, image_size)]
     faults += [*_rotation_faults(R), *_translation_faults(t)]
     if images == "rectified" and not faults:
         faults += _rectified_faults(left, right, R, t)
@@ -95,6 +99,11 @@ def check_image_size(calibration: StereoCalibration, width: int, height: int) ->
             key="image_size",
             remedy="Use the calibration of this resolution; for a ZED, `calibrate import --to` converts one exactly",
         )
+
+
+def _size_faults(size: Sequence[int]) -> Iterator[str]:
+    if max(size) > LARGEST_SIDE_PX:
+        yield f"image_size: {size[0]}×{size[1]} px; more than {LARGEST_SIDE_PX:,} px a side can't be rectified"
 
 
 def _eye_faults(name: str, eye: CameraModel, size: Sequence[int]) -> Iterator[str]:

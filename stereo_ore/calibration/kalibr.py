@@ -60,7 +60,7 @@ def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
 
 def _cameras(path: Path, data: dict[str, Any]) -> dict[int, dict[str, Any]]:
     """The cameras by number."""
-    chain = {int(key[3:]): value for key, value in data.items() if re.fullmatch(r"cam\d+", str(key))}
+    chain = {int(key[3:]): value for key, value in data.items() if re.fullmatch(r"cam\d{1,6}", str(key))}
     for index, camera in chain.items():
         if not isinstance(camera, dict):
             raise CalibrationError("must be a mapping", file=path, key=f"cam{index}")

@@ -80,7 +80,7 @@ def combine(files: tuple[Path, Path], left: dict[str, Any], right: dict[str, Any
 def _eye(path: Path, text: str) -> dict[str, Any]:
     """The entries of one eye by their letter."""
     data = parse_yaml(text, path, CalibrationError)
-    model = data.get("distortion_model", "plumb_bob")
+    model = str(data.get("distortion_model", "plumb_bob"))
     lengths = {"K": 9, "R": 9, "P": 12, "D": None, "width": 1, "height": 1}
     eye = {name: numbers(path, *_entry(path, data, name), count) for name, count in lengths.items()}
     size = {name: float(eye[name][0]) for name in ("width", "height")}

@@ -69,15 +69,18 @@ def run(
     from stereo_ore.sinks.frame_files import FrameFiles
     from stereo_ore.sinks.run_folder import RunFolder
     from stereo_ore.site import load_site
+    from stereo_ore.sources import limit_pixels
     from stereo_ore.types import Site
 
     if pictures:
         figures.require_matplotlib()
+    settings = [*(settings or ()), *([f"matching.fuse={fuse}"] if fuse else [])]
+    parameters = load_config(config, settings)
     recording = _open(source, left, right, (left_topic, right_topic), max_skew_ms)
+    recording = limit_pixels(recording, parameters.source.max_pixels)
     calibration = _calibration(recording, calib)
     place = load_site(site) if site else Site()
-    settings = [*(settings or ()), *([f"matching.fuse={fuse}"] if fuse else [])]
-    context = pipeline.make_context(calibration, place, load_config(config, settings))
+    context = pipeline.make_context(calibration, place, parameters)
     indices = range(len(recording.names))[start : stop : every or context.config.matching.fuse]
     if not indices:
         raise SourceError(f"has {_frames(len(recording.names))}, none of them selected", file=recording.path)

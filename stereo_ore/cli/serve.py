@@ -137,13 +137,14 @@ def _open(source: Path | None, watch: Path | None, camera: int | None, context: 
     from stereo_ore.serve.camera import open_camera
     from stereo_ore.serve.frames import Recording
     from stereo_ore.serve.watch import FolderWatch
-    from stereo_ore.sources import open_source
+    from stereo_ore.sources import limit_pixels, open_source
 
+    max_pixels = context.config.source.max_pixels
     match source, watch, camera:
         case Path(), None, None:
-            return Recording(open_source(source))
+            return Recording(limit_pixels(open_source(source), max_pixels))
         case None, Path(), None:
-            return FolderWatch(watch)
+            return FolderWatch(watch, max_pixels=max_pixels)
         case None, None, int():
             return open_camera(camera, context.calibration.image_size)
     raise typer.BadParameter("give one of SOURCE, --watch and --camera")

@@ -2,40 +2,27 @@
 
 from __future__ import annotations
 
-import math
-import zipfile
 from pathlib import Path
-from typing import Any, BinaryIO, cast
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from stereo_ore.cloud_io.records import Records, from_array, from_columns, require_bytes, require_xyz
+from stereo_ore.cloud_io.records import Records, from_array, from_columns, require_xyz
 from stereo_ore.errors import CloudError
+from stereo_ore.npz_io import load_array, load_arrays
 
-MAX_UNPACKED_BYTES = 4_000_000_000
 XYZ_NAMES = ("xyz", "points", "voxel_xyz")
 
 
 def read_npy(path: Path) -> Records:
     """An (N, 3 or more) array, or a structured array with x, y, z."""
-    with path.open("rb") as file:
-        return from_array(_array(file, path.stat().st_size, path), path)
+    return from_array(load_array(path, CloudError), path)
 
 
 def read_npz(path: Path) -> Records:
     """Columns x, y, z and others of the same length, or an (N, 3) array called xyz, points or voxel_xyz."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            unpacked = sum(entry.file_size for entry in archive.infolist())
-            require_bytes(unpacked, MAX_UNPACKED_BYTES, path, "arrays")
-            arrays = {}
-            for entry in archive.infolist():
-                with archive.open(entry) as file:
-                    arrays[entry.filename.removesuffix(".npy")] = _array(cast(BinaryIO, file), entry.file_size, path)
-    except (zipfile.BadZipFile, EOFError, OSError) as fault:
-        raise CloudError(f"is not a whole NPZ file: {fault}", file=path) from None
-    return _from_named(arrays, path)
+    return _from_named(load_arrays(path, CloudError), path)
 
 
 def _from_named(arrays: dict[str, npt.NDArray[Any]], path: Path) -> Records:
@@ -50,24 +37,7 @@ def _from_named(arrays: dict[str, npt.NDArray[Any]], path: Path) -> Records:
     columns = base | riders
     if not {"x", "y", "z"} <= set(columns):
         raise CloudError("x, y and z differ in length or are no numbers", file=path)
-    return require_xyz(from_columns(columns), path)
-
-
-def _array(file: BinaryIO, size: int, path: Path) -> npt.NDArray[Any]:
-    """One array, after its header was found to fit the bytes that are there."""
-    try:
-        version = np.lib.format.read_magic(file)
-        read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-        if version not in read_header:
-            raise CloudError(f"has NPY version {version}; 1.0 and 2.0 can be read", file=path)
-        shape, fortran, dtype = read_header[version](file)
-        if dtype.hasobject:
-            raise CloudError("holds Python objects, which are never loaded", file=path, remedy="Save plain numbers")
-        require_bytes(math.prod(shape) * dtype.itemsize, size - 8, path)
-        raw = file.read(math.prod(shape) * dtype.itemsize)
-        return np.frombuffer(raw, dtype).reshape(shape, order="F" if fortran else "C")
-    except (ValueError, EOFError, zipfile.BadZipFile) as fault:
-        raise CloudError(f"is not a whole NPY array: {fault}", file=path) from None
+    return require_xyz(from_columns({key: value for key, value in columns.items() if key}), path)
 
 
 def write_npy(path: Path, records: Records) -> None:

@@ -13,6 +13,7 @@ from stereo_ore.cloud_io.text import parse_rows
 from stereo_ore.errors import CloudError
 
 KINDS = {"F": "f", "I": "i", "U": "u"}
+MOST_FIELDS, LONGEST_NUMBER = 10_000, 20
 SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
 
 
@@ -52,12 +53,14 @@ def _dtype(header: dict[str, list[str]], path: Path) -> np.dtype[np.void]:
     repeats = header.get("COUNT", ["1"] * len(names))
     if not len(names) == len(sizes) == len(types) == len(repeats):
         raise CloudError("FIELDS, SIZE, TYPE and COUNT differ in length", file=path)
+    if not all(word.isdigit() and len(word) < LONGEST_NUMBER for word in (*sizes, *repeats)):
+        raise CloudError("SIZE and COUNT must be whole numbers", file=path)
+    if sum(map(int, repeats)) > MOST_FIELDS:
+        raise CloudError(f"COUNT gives more than {MOST_FIELDS:,} values a point", file=path)
     fields = []
     for i, (name, size, kind, repeat) in enumerate(zip(names, sizes, types, repeats, strict=True)):
-        if kind not in KINDS or not size.isdigit() or int(size) not in SIZES[kind] or not repeat.isdigit():
+        if kind not in KINDS or int(size) not in SIZES[kind]:
             raise CloudError(f"has the type {kind}{size}×{repeat}", file=path, key=name)
-        if int(repeat) > 10_000:
-            raise CloudError(f"COUNT {repeat} is too large", file=path, key=name)
         parts = [name] if repeat == "1" else [f"{name}_{j}" for j in range(int(repeat))]
         # PCL calls padding "_", as often as it likes.
         fields += [(f"{part}{i}" if name == "_" else part, f"<{KINDS[kind]}{size}") for part in parts]
@@ -68,7 +71,7 @@ def _dtype(header: dict[str, list[str]], path: Path) -> np.dtype[np.void]:
 
 def _count(header: dict[str, list[str]], path: Path) -> int:
     words = header.get("POINTS") or [*header.get("WIDTH", ["?"]), *header.get("HEIGHT", ["1"])]
-    if not all(word.isdigit() for word in words):
+    if not all(word.isdigit() and len(word) < LONGEST_NUMBER for word in words):
         raise CloudError("the number of points is missing or is no number", file=path, key="POINTS")
     return math.prod(int(word) for word in words)
 

@@ -62,12 +62,13 @@ def _body(file: BinaryIO, path: Path, encoding: str, before: list[_Element], ver
     if encoding == "ascii":
         require_bytes(2 * vertex.count * len(vertex.properties) - 1, left, path)
         for _ in range(sum(e.count for e in before)):
-            file.readline()
+            if not file.readline():
+                break
         return parse_rows(file, dtype, vertex.count, path)
     skip = sum(e.count * sum(np.dtype(kind).itemsize for _, kind in e.properties) for e in before)
     require_bytes(skip + vertex.count * dtype.itemsize, left, path)
     file.seek(skip, 1)
-    return np.fromfile(file, dtype, vertex.count)
+    return np.fromfile(file, dtype, vertex.count) if dtype.names else np.empty(0, dtype)
 
 
 def _header(file: BinaryIO, path: Path) -> tuple[str, list[_Element]]:

@@ -34,8 +34,8 @@ def read(path: Path) -> Records:
     if len(words) != values.shape[1]:
         raise CloudError(f"has {len(words)} names for {values.shape[1]} columns", file=path)
     lower = [word.lower() if word.lower() in COLUMNS else word for word in words]
-    if len(set(lower)) < len(lower):
-        raise CloudError("has a column name twice", file=path)
+    if len(set(lower)) < len(lower) or "" in lower:
+        raise CloudError("has a column name twice, or a column without a name", file=path)
     return require_xyz(from_columns({name: values[:, i] for i, name in enumerate(lower)}), path)
 
 
@@ -68,7 +68,17 @@ def parse_rows(file: IO[bytes], dtype: np.dtype[np.void], count: int, path: Path
         raise CloudError(
             f"has {rows:,} rows of {columns} numbers; the header says {count:,} of {len(names)}", file=path
         )
-    return from_columns({name: values[:, i].astype(dtype[name]) for i, name in enumerate(names)})
+    return from_columns({name: _cast(values[:, i], dtype[name], name, path) for i, name in enumerate(names)})
+
+
+def _cast(values: Any, dtype: np.dtype[Any], name: str, path: Path) -> Any:
+    """A column in the type that the header says; what a whole number can't be is an error."""
+    if dtype.kind in "iu":
+        limits = np.iinfo(dtype)
+        if not np.all((values >= limits.min) & (values <= limits.max)):
+            raise CloudError(f"has a value that is no {dtype}", file=path, key=name)
+    with np.errstate(over="ignore", invalid="ignore"):
+        return values.astype(dtype)
 
 
 def write(path: Path, records: Records) -> None:

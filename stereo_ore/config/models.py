@@ -18,6 +18,15 @@ def param(default: Any, text: str, unit: str = "", **limits: Any) -> Any:
     return Field(default, description=text, json_schema_extra={"unit": unit} if unit else None, **limits)
 
 
+MAX_PIXELS = 100_000_000
+
+
+class SourceConfig(StageConfig):
+    """Recorded images."""
+
+    max_pixels: int = param(MAX_PIXELS, "largest picture that is decoded; of a larger one the frame fails", "px", ge=1)
+
+
 class MatchingConfig(StageConfig):
     """Semi-global matching (OpenCV StereoSGBM) and what is done to its disparities."""
 
@@ -147,6 +156,7 @@ class OrderConfig(StageConfig):
 class Config(StageConfig):
     """All parameters of a run."""
 
+    source: SourceConfig = SourceConfig()
     matching: MatchingConfig = MatchingConfig()
     cloud: CloudConfig = CloudConfig()
     voxel: VoxelConfig = VoxelConfig()

@@ -16,9 +16,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from stereo_ore.config.models import MAX_PIXELS
 from stereo_ore.errors import SourceError
 from stereo_ore.serve.arrivals import Arrival, arrivals
 from stereo_ore.serve.frames import LiveFrame, Position
+from stereo_ore.sources import limit_pixels
 from stereo_ore.sources.folder import ImagePairs
 from stereo_ore.sources.names import natural_key
 from stereo_ore.types import StereoPair
@@ -47,12 +49,14 @@ class _Pending:
 class FolderWatch:
     """Watches `folder`, which may be empty at first, in any layout of image files that `run` knows."""
 
-    def __init__(self, folder: Path, *, poll_s: float = 0.2, patience_s: float = 10.0) -> None:
+    def __init__(
+        self, folder: Path, *, poll_s: float = 0.2, patience_s: float = 10.0, max_pixels: int = MAX_PIXELS
+    ) -> None:
         if not folder.is_dir():
             raise SourceError("no such folder", file=folder, remedy="Make the folder that frames will be copied to")
         self.folder = folder
         self.name = str(folder)
-        self._poll_s, self._patience_s = poll_s, patience_s
+        self._poll_s, self._patience_s, self._max_pixels = poll_s, patience_s, max_pixels
         self._pending: _Pending | None = None
         self._done: set[str] = set()
         self._prune_at = PRUNE_AT
@@ -73,7 +77,7 @@ class FolderWatch:
                     break
                 after, self._waiting = arrival.name, len(waiting) - place - 1
                 self._done.update(map(str, arrival.files))
-                yield _frame(arrival, index)
+                yield _frame(replace(arrival, source=limit_pixels(arrival.source, self._max_pixels)), index)
                 index += 1
             stop.wait(max(self._poll_s, scan_s / SCAN_SHARE))
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any, cast
 
 from stereo_ore.errors import SourceError
 from stereo_ore.sources.bag import BAG_SUFFIXES, BagOptions, is_bag_folder, open_bag
@@ -13,7 +15,7 @@ from stereo_ore.sources.images import IMAGE_SUFFIXES
 from stereo_ore.sources.side_by_side import open_side_by_side_image
 from stereo_ore.sources.video import VIDEO_SUFFIXES, open_video
 
-__all__ = ["BagOptions", "Source", "open_source", "open_two_files"]
+__all__ = ["BagOptions", "Source", "limit_pixels", "open_source", "open_two_files"]
 
 Opener = Callable[[Path, BagOptions], Source]
 
@@ -47,6 +49,11 @@ def open_source(path: Path, options: BagOptions = BagOptions()) -> Source:  # no
     if suffix not in FILE_OPENERS:
         raise SourceError(f"files ending in {suffix!r} are not known", file=path, remedy=f"Known: {known_layouts()}")
     return FILE_OPENERS[suffix](path, options)
+
+
+def limit_pixels(source: Source, max_pixels: int) -> Source:
+    """The same recording, whose pictures of more than `max_pixels` are refused before they are decoded."""
+    return cast(Source, replace(cast(Any, source), max_pixels=max_pixels))
 
 
 def known_layouts() -> str:

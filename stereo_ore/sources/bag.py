@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from stereo_ore.config.models import MAX_PIXELS
 from stereo_ore.errors import FrameError, MissingExtraError, SourceError, StereoOreError
 from stereo_ore.sources import ros_messages
 from stereo_ore.sources.images import check_alike, to_8_bit
@@ -99,6 +100,7 @@ class BagPairs:
     options: BagOptions
     reader: Reader
     calibration: StereoCalibration | None = None
+    max_pixels: int = MAX_PIXELS
 
     @property
     def description(self) -> Mapping[str, Any]:
@@ -137,9 +139,9 @@ class BagPairs:
             raise
         except Exception as fault:  # rosbags and its storages raise what they like on damaged files
             raise FrameError(f"can't be read here: {fault}", code="UNREADABLE_IMAGE", file=self.path) from None
-        images = ros_messages.image(messages[0], self.path), ros_messages.image(messages[1], self.path)
-        check_alike(*images, f"{self.path}: {self.topics[0]}", self.topics[1])
-        return StereoPair(self.names[index], index, *to_8_bit(*images), stamp_ns=left.stamp_ns)
+        left_image, right_image = (ros_messages.image(message, self.path, self.max_pixels) for message in messages)
+        check_alike(left_image, right_image, f"{self.path}: {self.topics[0]}", self.topics[1])
+        return StereoPair(self.names[index], index, *to_8_bit(left_image, right_image), stamp_ns=left.stamp_ns)
 
 
 def open_bag(path: Path, options: BagOptions) -> BagPairs:

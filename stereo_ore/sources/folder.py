@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from stereo_ore.config.models import MAX_PIXELS
 from stereo_ore.errors import FrameError, SourceError
 from stereo_ore.sources.images import check_alike, is_image, read_image, to_8_bit
 from stereo_ore.sources.names import frame_names, name_stamp, natural_key, split_name
@@ -24,6 +25,7 @@ class ImagePairs:
     names: tuple[str, ...]
     pairs: tuple[tuple[Path | None, Path | None], ...]
     calibration: StereoCalibration | None = None
+    max_pixels: int = MAX_PIXELS
 
     @property
     def description(self) -> Mapping[str, Any]:
@@ -46,7 +48,7 @@ class ImagePairs:
                 file=left or right,
                 remedy="Frames are paired by name, never by position",
             )
-        images = read_image(left), read_image(right)
+        images = read_image(left, self.max_pixels), read_image(right, self.max_pixels)
         check_alike(*images, left, right.name)
         return StereoPair(self.names[index], index, *to_8_bit(*images), stamp_ns=name_stamp(self.names[index]))
 

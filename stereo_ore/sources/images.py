@@ -10,12 +10,15 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from stereo_ore.config.models import MAX_PIXELS
 from stereo_ore.errors import FrameError
+from stereo_ore.sources.image_header import claimed_size
 from stereo_ore.sources.quiet import overheard
 from stereo_ore.types import U8
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
-MAX_PIXELS = 100_000_000
+BYTES_PER_PIXEL, HEADER_BYTES = 8, 1_000_000
+"""Four channels of 16 bit, uncompressed, and what else a file may hold."""
 _END_MARKS = {b"\x89PNG": b"IEND", b"\xff\xd8": b"\xff\xd9"}
 _DAMAGE = re.compile(rb"Corrupt JPEG|Premature end of JPEG|Inconsistent progression|libpng error|TIFF_Error")
 
@@ -29,7 +32,7 @@ Image = npt.NDArray[Any]
 """(H, W, 3) BGR, uint8 or uint16."""
 
 
-def read_image(path: Path) -> Image:
+def read_image(path: Path, max_pixels: int = MAX_PIXELS) -> Image:
     """Decode an image file as stored: (H, W, 3) BGR, uint8 or uint16; grey is repeated, alpha dropped.
 
     Raises
@@ -37,25 +40,31 @@ def read_image(path: Path) -> Image:
     FrameError
         When the file is missing, empty, cut off, damaged, too large, or no image.
     """
+    most = BYTES_PER_PIXEL * max_pixels + HEADER_BYTES
     try:
-        data = path.read_bytes()
+        if not path.is_file() and path.exists():
+            raise FrameError("can't be read: it is no file", code="UNREADABLE_IMAGE", file=path)
+        with path.open("rb") as file:
+            data = file.read(most + 1)
     except OSError as fault:
         raise FrameError(f"can't be read: {fault.strerror}", code="UNREADABLE_IMAGE", file=path) from None
-    return decode_image(data, path)
+    if len(data) > most:
+        problem = f"has more than {most:,} bytes, which no image of {max_pixels:,} pixels has"
+        raise FrameError(problem, code="IMAGE_TOO_LARGE", file=path, remedy="Record or copy it again")
+    return decode_image(data, path, max_pixels)
 
 
-def decode_image(data: bytes, path: Path) -> Image:
+def decode_image(data: bytes, path: Path, max_pixels: int = MAX_PIXELS) -> Image:
     """Decode the bytes of an image file; as `read_image`. `path` is for messages."""
     if not data:
         raise FrameError("is empty", code="UNREADABLE_IMAGE", file=path, remedy="Record or copy it again")
     _check_complete(path, data)
+    _check_claim(path, data, max_pixels)
     image, complaints = overheard(lambda: _decode(data))
     if image is None or _DAMAGE.search(complaints):
         raise FrameError(
             "can't be decoded as an image", code="UNREADABLE_IMAGE", file=path, remedy="Record or copy it again"
         )
-    if image.shape[0] * image.shape[1] > MAX_PIXELS:
-        raise FrameError(f"has {image.shape[0] * image.shape[1]:,} pixels", code="IMAGE_TOO_LARGE", file=path)
     if image.dtype not in (np.uint8, np.uint16):
         raise FrameError(f"has {image.dtype} pixels; 8 or 16 bit are read", code="UNREADABLE_IMAGE", file=path)
     return as_bgr(image, path)
@@ -71,6 +80,23 @@ def _check_complete(path: Path, data: bytes) -> None:
                 file=path,
                 remedy="Copy it again; was the disk full?",
             )
+
+
+def _check_claim(path: Path, data: bytes, max_pixels: int) -> None:
+    """Refuse before decoding what is too large, and formats that are not read: their claims are not known."""
+    size = claimed_size(data)
+    if size is None:
+        remedy = "PNG, JPEG, TIFF and BMP are read; record or copy it again"
+        raise FrameError("can't be decoded as an image", code="UNREADABLE_IMAGE", file=path, remedy=remedy)
+    check_pixels(*size, path, max_pixels)
+
+
+def check_pixels(width: int, height: int, path: Path, max_pixels: int) -> None:
+    """FrameError when a picture of this size is more than may be decoded."""
+    if width * height > max_pixels:
+        problem = f"claims {width:,}×{height:,} pixels; at most {max_pixels:,} are decoded"
+        remedy = "Is it damaged? If it is that large, raise source.max_pixels"
+        raise FrameError(problem, code="IMAGE_TOO_LARGE", file=path, remedy=remedy)
 
 
 def _decode(data: bytes) -> Image | None:

@@ -10,8 +10,9 @@ import numpy as np
 
 from stereo_ore.calibration import ros
 from stereo_ore.calibration.formats import Hints
+from stereo_ore.config.models import MAX_PIXELS
 from stereo_ore.errors import FrameError
-from stereo_ore.sources.images import Image, as_bgr, decode_image
+from stereo_ore.sources.images import Image, as_bgr, check_pixels, decode_image
 from stereo_ore.types import F64, StereoCalibration
 
 IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
@@ -42,7 +43,7 @@ _ENCODINGS: dict[str, tuple[str, int, int | None]] = {  # element type, channels
 }
 
 
-def image(message: Any, path: Path) -> Image:
+def image(message: Any, path: Path, max_pixels: int = MAX_PIXELS) -> Image:
     """The picture of an Image or CompressedImage: (H, W, 3) BGR, uint8 or uint16; `path` is for messages.
 
     Raises
@@ -51,7 +52,7 @@ def image(message: Any, path: Path) -> Image:
         When the encoding is unknown or the data do not fit the size.
     """
     if hasattr(message, "format"):
-        return decode_image(bytes(message.data), path)
+        return decode_image(bytes(message.data), path, max_pixels)
     known = _ENCODINGS.get(message.encoding.lower())
     if known is None:
         raise FrameError(
@@ -60,6 +61,7 @@ def image(message: Any, path: Path) -> Image:
             file=path,
             remedy=f"Known: {', '.join(_ENCODINGS)}",
         )
+    check_pixels(int(message.width), int(message.height), path, max_pixels)
     kind, channels, conversion = known
     pixels = _unpack(message, np.dtype(kind), channels, path)
     return as_bgr(pixels if conversion is None else cv2.cvtColor(pixels, conversion), path)

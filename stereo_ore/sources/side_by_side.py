@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from stereo_ore.config.models import MAX_PIXELS
 from stereo_ore.errors import SourceError
 from stereo_ore.sources.images import read_image, split_in_two, to_8_bit
 from stereo_ore.sources.names import frame_names, name_stamp, split_name
@@ -21,6 +22,7 @@ class SideBySideImages:
     names: tuple[str, ...]
     images: tuple[Path, ...]
     calibration: StereoCalibration | None = None
+    max_pixels: int = MAX_PIXELS
 
     @property
     def description(self) -> Mapping[str, Any]:
@@ -33,7 +35,7 @@ class SideBySideImages:
 
     def read(self, index: int) -> StereoPair:
         """Read frame `index` and split it in the middle."""
-        halves = split_in_two(read_image(self.images[index]), self.images[index])
+        halves = split_in_two(read_image(self.images[index], self.max_pixels), self.images[index])
         return StereoPair(self.names[index], index, *to_8_bit(*halves), stamp_ns=name_stamp(self.names[index]))
 
 

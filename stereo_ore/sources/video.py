@@ -10,12 +10,17 @@ from typing import Any
 import cv2
 import numpy as np
 
+from stereo_ore.config.models import MAX_PIXELS
 from stereo_ore.errors import FrameError, SourceError
-from stereo_ore.sources.images import Image, as_bgr, split_in_two, to_8_bit
+from stereo_ore.sources.images import Image, as_bgr, check_pixels, split_in_two, to_8_bit
 from stereo_ore.sources.quiet import overheard
 from stereo_ore.types import StereoCalibration, StereoPair
 
 VIDEO_SUFFIXES = (".avi", ".mkv", ".mov", ".mp4", ".m4v", ".mjpg", ".mjpeg", ".webm")
+
+
+LEAST_PICTURE_BYTES = 8
+"""A container that claims more pictures than its bytes can be is not believed."""
 
 
 class Decoder:
@@ -37,8 +42,13 @@ class Decoder:
         return overheard(lambda: self._picture(index))[0]
 
     def count(self) -> int:
-        """Number of pictures: what the container says or, when it is silent, what can be decoded."""
+        """Number of pictures: what the container says or, when that can't be, what can be decoded."""
         return overheard(self._count)[0]
+
+    def size(self) -> tuple[int, int]:
+        """Width and height that the container claims."""
+        capture = self._capture or cv2.VideoCapture(str(self.path))
+        return int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
 
     def _picture(self, index: int) -> Image | None:
         if self._capture is None or index < self._next:
@@ -56,7 +66,7 @@ class Decoder:
         self._reopen()
         assert self._capture is not None, "just opened"
         promised = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
-        if promised > 0:
+        if 0 < promised <= self.path.stat().st_size // LEAST_PICTURE_BYTES:
             return promised
         count = 0
         while self._capture.grab():
@@ -76,6 +86,7 @@ class SideBySideVideo:
     names: tuple[str, ...]
     decoder: Decoder
     calibration: StereoCalibration | None = None
+    max_pixels: int = MAX_PIXELS
 
     @property
     def description(self) -> Mapping[str, Any]:
@@ -88,6 +99,7 @@ class SideBySideVideo:
 
     def read(self, index: int) -> StereoPair:
         """Decode frame `index` and split it in the middle."""
+        check_pixels(*overheard(self.decoder.size)[0], self.path, self.max_pixels)
         image = self.decoder.picture(index)
         if image is None:
             raise FrameError(
@@ -109,6 +121,7 @@ def open_video(path: Path) -> SideBySideVideo:
         When nothing in it can be decoded.
     """
     decoder = Decoder(path)
+    check_pixels(*overheard(decoder.size)[0], path, MAX_PIXELS)
     count = decoder.count()
     if count < 1 or decoder.picture(0) is None:
         raise SourceError(

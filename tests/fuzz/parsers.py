@@ -1,0 +1,104 @@
+"""Every parser of the program, and what it may do with a file: return something, or refuse it by a typed error.
+
+Whatever else leaves it (another exception, a warning) is a find. `corpus/NAME` holds small files for each: valid ones
+to begin from, and what fuzzing has kept because it reached something new.
+"""
+
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from stereo_ore import calibration, cloud_io
+from stereo_ore.calibration.tables import read_poses, read_touched
+from stereo_ore.config import load_config
+from stereo_ore.errors import StereoOreError
+from stereo_ore.matching import background
+from stereo_ore.results import Results
+from stereo_ore.serve.loop import position
+from stereo_ore.sinks.settings import load_sinks, read_users
+from stereo_ore.site import load_site
+from stereo_ore.sources import open_source
+from stereo_ore.sources.images import read_image
+
+CORPUS = Path(__file__).parent / "corpus"
+IMAGE_SIZE = (1280, 720)
+
+
+@dataclass(frozen=True)
+class Parser:
+    """A parser, and the name under which it gets its file."""
+
+    file: str
+    read: Callable[[Path], object]
+
+    def __call__(self, data: bytes, folder: Path) -> StereoOreError | None:
+        """Read `data` as a file in `folder`; the refusal, if any."""
+        path = folder / self.file
+        path.write_bytes(data)
+        path.chmod(0o600)
+        try:
+            self.read(path)
+        except StereoOreError as refusal:
+            return refusal
+        return None
+
+
+def read_calibration(path: Path) -> object:
+    return calibration.load(path, image_size=IMAGE_SIZE)
+
+
+def read_ros(path: Path) -> object:
+    """The other eye's file is a good one."""
+    shutil.copyfile(CORPUS / "ros" / "right.yaml", path.with_name("right.yaml"))
+    return calibration.load(path)
+
+
+def read_source(path: Path) -> object:
+    """All frames; a frame that can't be read is a refusal of that frame alone."""
+    source = open_source(path)
+    refused = None
+    for index in range(len(source.names)):
+        try:
+            source.read(index)
+        except StereoOreError as error:
+            refused = error
+    if refused:
+        raise refused
+    return source.description
+
+
+def read_records(path: Path) -> object:
+    return Results(path.parent).records
+
+
+def read_part(path: Path) -> object:
+    return position(path.parent)
+
+
+PARSERS = {
+    "config": Parser("config.yaml", load_config),
+    "site": Parser("site.yaml", load_site),
+    "sinks": Parser("sinks.yaml", load_sinks),
+    "users": Parser("users", read_users),
+    "native": Parser("camera.yaml", read_calibration),
+    "zed": Parser("SN1.conf", read_calibration),
+    "opencv": Parser("camera.yml", read_calibration),
+    "ros": Parser("left.yaml", read_ros),
+    "kalibr": Parser("chain.yaml", read_calibration),
+    "middlebury": Parser("calib.txt", read_calibration),
+    "touched": Parser("touched.csv", read_touched),
+    "poses": Parser("poses.csv", read_poses),
+    "ply": Parser("cloud.ply", cloud_io.read),
+    "pcd": Parser("cloud.pcd", cloud_io.read),
+    "npy": Parser("cloud.npy", cloud_io.read),
+    "npz": Parser("cloud.npz", cloud_io.read),
+    "text": Parser("cloud.csv", cloud_io.read),
+    "image": Parser("image.png", read_image),
+    "rosbag1": Parser("recording.bag", read_source),
+    "mcap": Parser("recording.mcap", read_source),
+    "video": Parser("recording.avi", read_source),
+    "background": Parser("empty.npz", background.load),
+    "records": Parser("frames.jsonl", read_records),
+    "part": Parser("frames.jsonl.part", read_part),
+}
