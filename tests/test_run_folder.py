@@ -54,6 +54,15 @@ def test_resuming_a_finished_run_changes_nothing(tmp_path: Path) -> None:
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before
 
 
+def test_what_a_killed_writer_left_goes(tmp_path: Path) -> None:
+    fill(tmp_path, range(3), finish=False)
+    (tmp_path / "clouds").mkdir()
+    left = tmp_path / "clouds" / ".000002.ply.0badcafe.tmp"
+    left.write_bytes(b"half")
+    fill(tmp_path, range(3), resume=True)
+    assert not left.exists()
+
+
 @pytest.mark.parametrize("resume", [True, False])
 def test_another_run_s_folder_is_left_alone(tmp_path: Path, resume: bool) -> None:
     fill(tmp_path, range(3))

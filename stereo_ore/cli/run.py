@@ -59,12 +59,15 @@ def run(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a different run in --out.")] = False,
     strict: Annotated[bool, typer.Option("--strict", help="Stop at the first frame that fails.")] = False,
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler whose workers do the frames: tcp://host:8786.")
+    ] = None,
 ) -> None:
     """Recorded pairs → ore point sets, centres of gravity, targets.
 
     Example: `stereo-ore run recording --calib calib/zed2_hd720.yaml --site site.yaml --out out`
     """
-    from stereo_ore import batch, figures, pipeline
+    from stereo_ore import batch, cluster, figures, pipeline
     from stereo_ore.config import load_config
     from stereo_ore.sinks.frame_files import FrameFiles
     from stereo_ore.sinks.run_folder import RunFolder
@@ -72,6 +75,8 @@ def run(
     from stereo_ore.sources import limit_pixels
     from stereo_ore.types import Site
 
+    if scheduler and workers > 1:
+        raise typer.BadParameter("give one of --workers and --scheduler")
     if pictures:
         figures.require_matplotlib()
     settings = [*(settings or ()), *([f"matching.fuse={fuse}"] if fuse else [])]
@@ -93,7 +98,7 @@ def run(
         _write_inputs(out, context, site)
         todo = indices[folder.done :]
         with _progress(len(indices), folder.done) as advance, _stoppable():
-            for lines in batch.run(job, todo, workers):
+            for lines in cluster.run(job, todo, scheduler) if scheduler else batch.run(job, todo, workers):
                 folder.add(lines)
                 advance()
         folder.finish()

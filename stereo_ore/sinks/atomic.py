@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import uuid
 from collections.abc import Callable
 from pathlib import Path
 
@@ -19,7 +20,8 @@ def write_bytes(path: Path, data: bytes) -> None:
     OutputError
         When the folder is not writable or the disk is full; nothing is then left under the final name.
     """
-    temporary = path.with_name(f".{path.name}.tmp")
+    # A name of its own: a worker that was given up for lost may still write the same file.
+    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary.write_bytes(data)
@@ -40,6 +42,12 @@ def guarded(path: Path, action: Callable[[], object]) -> None:
         action()
     except OSError as fault:
         raise OutputError(f"can't be written: {fault.strerror}", file=path, remedy=REMEDY) from None
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove what processes that were killed in `write_bytes` have left in a folder."""
+    for file in folder.glob(".*.tmp"):
+        file.unlink(missing_ok=True)
 
 
 def make_folder(path: Path) -> None:

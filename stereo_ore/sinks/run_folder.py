@@ -19,10 +19,11 @@ from typing import IO, Any
 
 from stereo_ore import __version__
 from stereo_ore.errors import OutputError
-from stereo_ore.sinks.atomic import guarded, make_folder, write_text
+from stereo_ore.sinks.atomic import guarded, make_folder, remove_leftovers, write_text
 from stereo_ore.sinks.ore_table import ores_csv
 
 LINES = ("frames.jsonl", "timings.jsonl", "inputs.jsonl")
+FRAME_FOLDERS = ("clouds", "overlays", "stages", "pictures")
 PACKAGES = ("numpy", "scipy", "scikit-learn", "opencv-contrib-python-headless", "open3d-cpu", "open3d", "pydantic")
 
 
@@ -100,6 +101,8 @@ class RunFolder:
             guarded(final, lambda part=part, final=final: part.replace(final))  # type: ignore[misc]
         write_text(self.folder / "run.json", json.dumps(finished, indent=1, ensure_ascii=False) + "\n")
         self._part("inputs.jsonl").unlink()
+        for child in ("", *FRAME_FOLDERS):
+            remove_leftovers(self.folder / child)
 
     def _part(self, name: str) -> Path:
         return self.folder / f"{name}.part"
@@ -142,7 +145,7 @@ class RunFolder:
         derived = ("ores.csv", "report.html", "calibration_check.json")
         for name in (*LINES, *(f"{name}.part" for name in LINES), *derived):
             (self.folder / name).unlink(missing_ok=True)
-        for child in ("clouds", "overlays", "stages", "pictures"):
+        for child in FRAME_FOLDERS:
             for file in (self.folder / child).glob("*"):
                 file.unlink()
 
