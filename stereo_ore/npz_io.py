@@ -62,9 +62,7 @@ def _array(file: BinaryIO, size: int, path: Path, error: type[StereoOreError]) -
 
 def _require(claimed: int, available: int, path: Path, error: type[StereoOreError]) -> None:
     if claimed > available:
-        problem = (
-            f"the header claims arrays of {min(claimed, LARGEST_SHOWN):,} bytes; {available:,} can be there"
-        )
+        problem = f"the header claims arrays of {min(claimed, LARGEST_SHOWN):,} bytes; {available:,} can be there"
         raise error(problem, file=path, remedy="The file is cut off or damaged; export it again")
 
 

@@ -67,9 +67,7 @@ def read_text(path: Path, error: type[StereoOreError]) -> str:
     except (OSError, ValueError) as fault:  # ValueError: a NUL in the name
         raise error(f"can't be read: {getattr(fault, 'strerror', None) or fault}", file=path) from None
     if len(data) > MAX_BYTES:
-        raise error(
-            f"has more than {MAX_BYTES:,} bytes; no more are read", file=path, remedy="Is it the right file?"
-        )
+        raise error(f"has more than {MAX_BYTES:,} bytes; no more are read", file=path, remedy="Is it the right file?")
     try:
         return data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError:

@@ -127,7 +127,7 @@ def test_a_fault_leaves_the_tables_as_they_were(lake: Path, tmp_path: Path) -> N
     before = {path: path.read_bytes() for path in files(lake)}
     shutil.rmtree(tmp_path / "a")
     broken = [record(0, [ore(1)]), record(1, [ore(1) | {"volume_m3": "much"}])]
-    with pytest.raises(Exception, match="much"):
+    with pytest.raises(SourceError, match=r"line 2 is no record: ores\.0\.volume_m3"):
         add(tmp_path / "a", broken, lake, "a", "north")
     assert {path: path.read_bytes() for path in files(lake)} == before
     (tmp_path / "file").touch()

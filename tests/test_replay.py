@@ -26,7 +26,7 @@ def write_run(folder: Path, stamps: list[int | None], part: bool = False) -> Pat
     records = [make_record(index, stamp_ns=stamp) for index, stamp in enumerate(stamps)]
     end = ".part" if part else ""
     (folder / f"frames.jsonl{end}").write_text("".join(json.dumps(record) + "\n" for record in records))
-    timings = [json.dumps({"frame": record["frame"], "total_ms": 250.0}) + "\n" for record in records]
+    timings = [json.dumps({"frame": record["frame"], "stages_ms": {}, "total_ms": 250.0}) + "\n" for record in records]
     (folder / f"timings.jsonl{end}").write_text("".join(timings))
     return folder
 

@@ -135,8 +135,8 @@ def test_scores_of_degenerate_clouds(values: list[float]) -> None:
 
 
 def test_hostile_names_stay_text(tmp_path: Path) -> None:
-    reasons = [{"code": HOSTILE, "detail": HOSTILE}]
-    folder = make_run(tmp_path / "run", [record(0, [], "degraded", frame=HOSTILE.replace("/", "_"), reasons=reasons)])
+    reasons = [{"code": "UNPAIRED", "detail": HOSTILE}]
+    folder = make_run(tmp_path / "run", [record(0, [], "degraded", reasons=reasons)])
     (folder / "config.yaml").write_text(f"# {HOSTILE}\nmatching: {{sigma_px: 0.2}}\n")
     run = json.loads((folder / "run.json").read_text()) | {"source": HOSTILE}
     (folder / "run.json").write_text(json.dumps(run))
@@ -319,7 +319,7 @@ def test_in_a_browser_the_3d_view_is_drawn_tables_sort_and_nothing_complains(tmp
 
 @pytest.mark.slow
 def test_in_a_browser_hostile_names_run_no_script(tmp_path: Path) -> None:
-    reasons = [{"code": HOSTILE, "detail": HOSTILE}]
+    reasons = [{"code": "UNPAIRED", "detail": HOSTILE}]
     folder = make_run(tmp_path / "run")
     write_lines(folder / "frames.jsonl", [record(0, [ore(1)], reasons=reasons), record(1, [ore(1)], reasons=reasons)])
     found, console = browse(write_report(folder))

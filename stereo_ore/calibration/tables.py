@@ -63,21 +63,27 @@ def _from_quaternion(path: Path, name: str, q: F64) -> F64:
     return np.asarray(np.eye(3) + 2 * w * cross + 2 * cross @ cross, np.float64)
 
 
+def _lines(path: Path) -> list[tuple[int, list[str]]]:
+    """The rows of a table that are not blank, stripped, with the number of their line."""
+    reader = csv.reader(io.StringIO(read_text(path, CalibrationError)), skipinitialspace=True)
+    try:
+        lines = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
+    except csv.Error as fault:
+        raise CalibrationError(f"is no CSV table: {fault}", file=path, key=f"line {reader.line_num}") from None
+    return [(number, row) for number, row in lines if any(row)]
+
+
 def _header(path: Path) -> list[str]:
-    lines = [line for line in read_text(path, CalibrationError).splitlines() if line.strip()]
-    return [cell.strip() for cell in next(csv.reader(lines[:1]), [])]
+    return next((row for _, row in _lines(path)), [])
 
 
 def _rows(path: Path, columns: Sequence[str]) -> Iterator[tuple[str, list[float]]]:
-    header = _header(path)
+    header, seen = _header(path), set[str]()
     for column in ("name", *columns):
         if column not in header:
             raise CalibrationError(f"column is missing{nearest(column, header)}", file=path, key=column)
-    seen = set()
-    for number, row in enumerate(
-        csv.DictReader(io.StringIO(read_text(path, CalibrationError)), skipinitialspace=True), 2
-    ):
-        cells = {str(key).strip(): (value or "").strip() for key, value in row.items() if isinstance(value, str | None)}
+    for number, row in _lines(path)[1:]:
+        cells = dict.fromkeys(header, "") | dict(zip(header, row, strict=False))
         name = cells["name"]
         if name in seen:
             raise CalibrationError(f"name {name!r} is given twice", file=path, key=f"line {number}")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 
@@ -147,7 +146,9 @@ def load(path: Path) -> Background:
             )
     except OSError as fault:
         raise ConfigError(f"can't be read: {fault.strerror or fault}", file=path, key="background") from None
-    except (ValueError, KeyError, TypeError, BadZipFile, EOFError) as fault:
+    except ConfigError:
+        raise
+    except Exception as fault:  # NumPy, the zip reader and its decompressors raise what they like on damaged files
         raise ConfigError(
             f"is not a model of the empty screen ({fault})",
             file=path,

@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
+from stereo_ore.results import parse_record
 from stereo_ore.serve.frames import LiveFrame, LiveSource, Position
 from stereo_ore.serve.publisher import Publisher
 from stereo_ore.serve.status import Status
@@ -57,6 +58,7 @@ def position(folder: Path) -> Position:
     part = folder / "frames.jsonl.part"
     if not part.is_file() or part.stat().st_size == 0:
         return Position()
-    with part.open(encoding="utf-8") as lines:
-        record = json.loads(deque(lines, maxlen=1)[0])
+    with part.open(encoding="utf-8", errors="replace", newline="\n") as lines:
+        ((number, line),) = deque(enumerate(lines, 1), maxlen=1)
+    record = parse_record(line, part, number)
     return Position(record["frame"], record["index"] + 1)

@@ -56,5 +56,5 @@ def stamp_name(stamp_ns: int) -> str:
 
 
 def name_stamp(name: str) -> int | None:
-    """The stamp [ns] of a frame whose name is one (19 digits); other names say nothing about time."""
-    return int(name) if re.fullmatch(r"\d{19}", name, re.ASCII) else None
+    """The stamp [ns] of a frame whose name is one (19 digits, 64 bit); other names say nothing about time."""
+    return int(name) if re.fullmatch(r"\d{19}", name, re.ASCII) and int(name) < 2**63 else None

@@ -50,7 +50,7 @@ def read_calibration(path: Path) -> object:
 
 def read_ros(path: Path) -> object:
     """The other eye's file is a good one."""
-    shutil.copyfile(CORPUS / "ros" / "right.yaml", path.with_name("right.yaml"))
+    shutil.copyfile(CORPUS.parent / "right.yaml", path.with_name("right.yaml"))
     return calibration.load(path)
 
 
