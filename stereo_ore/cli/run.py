@@ -240,7 +240,7 @@ def _summarise(out: Path) -> None:
     """A line a target on standard output, and what went wrong on standard error."""
     from rich.console import Console
 
-    frames = [json.loads(line) for line in (out / "frames.jsonl").read_text(encoding="utf-8").splitlines()]
+    frames = [json.loads(line) for line in (out / "frames.jsonl").read_bytes().splitlines()]
     failed = [frame for frame in frames if frame["status"] == "failed"]
     for frame in [frame for frame in frames if frame["status"] in ("failed", "degraded")][:5]:
         log.warning("frame %s is %s: %s", frame["frame"], frame["status"], frame["reasons"][-1]["detail"])

@@ -32,8 +32,8 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write UTF-8 text as `path` in one step."""
-    write_bytes(path, text.encode())
+    """Write UTF-8 text as `path` in one step; what names of files have that is no UTF-8 becomes escapes."""
+    write_bytes(path, text.encode(errors="backslashreplace"))
 
 
 def guarded(path: Path, action: Callable[[], object]) -> None:

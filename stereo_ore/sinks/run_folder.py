@@ -19,7 +19,7 @@ from typing import IO, Any
 
 from stereo_ore import __version__
 from stereo_ore.errors import OutputError
-from stereo_ore.sinks.atomic import guarded, make_folder, remove_leftovers, write_text
+from stereo_ore.sinks.atomic import guarded, make_folder, remove_leftovers, write_bytes, write_text
 from stereo_ore.sinks.ore_table import ores_csv
 
 LINES = ("frames.jsonl", "timings.jsonl", "inputs.jsonl")
@@ -66,7 +66,9 @@ class RunFolder:
     def __enter__(self) -> RunFolder:
         def open_all() -> None:
             for name in LINES:
-                self._files[name] = self._part(name).open("a", encoding="utf-8", newline="\n")
+                self._files[name] = self._part(name).open(
+                    "a", encoding="utf-8", errors="backslashreplace", newline="\n"
+                )
 
         guarded(self.folder, open_all)
         return self
@@ -124,22 +126,23 @@ class RunFolder:
 
     def _trim(self) -> int:
         """Cut every line file back to the frames that all of them hold whole; their number."""
-        if (self.folder / "frames.jsonl").is_file() and not self._part("frames.jsonl").exists():
-            return self._reopen_finished()
+        self._reopen()
         texts = {name: _whole_lines(self._part(name)) for name in LINES}
         count = min(len(lines) for lines in texts.values())
         for name, lines in texts.items():
             if self._part(name).exists():
-                write_text(self._part(name), "".join(lines[:count]))
+                write_bytes(self._part(name), b"".join(lines[:count]))
         return count
 
-    def _reopen_finished(self) -> int:
-        """A finished run that is resumed keeps its frames: only what follows from them is written again."""
-        run = json.loads((self.folder / "run.json").read_text(encoding="utf-8"))
-        write_text(self._part("inputs.jsonl"), "".join(json.dumps(entry) + "\n" for entry in run.get("inputs", [])))
+    def _reopen(self) -> None:
+        """Lines that have their final names already, of a run that has ended or was killed while ending, grow again."""
         for name in ("timings.jsonl", "frames.jsonl"):
-            (self.folder / name).replace(self._part(name))
-        return self._trim()
+            part, final = self._part(name), self.folder / name
+            if final.is_file() and not part.exists():
+                guarded(final, lambda part=part, final=final: final.replace(part))  # type: ignore[misc]
+        if not self._part("inputs.jsonl").exists() and (self.folder / "run.json").is_file():
+            run = json.loads((self.folder / "run.json").read_text(encoding="utf-8"))
+            write_text(self._part("inputs.jsonl"), "".join(json.dumps(entry) + "\n" for entry in run.get("inputs", [])))
 
     def _remove_results(self) -> None:
         derived = ("ores.csv", "report.html", "calibration_check.json")
@@ -150,11 +153,10 @@ class RunFolder:
                 file.unlink()
 
 
-def _whole_lines(path: Path) -> list[str]:
-    if not path.exists():
-        return []
-    lines = path.read_text(encoding="utf-8", errors="replace").splitlines(keepends=True)
-    return lines if not lines or lines[-1].endswith("\n") else lines[:-1]
+def _whole_lines(path: Path) -> list[bytes]:
+    """Lines that end; in bytes, for text knows more ends of a line than JSON lines have."""
+    data = path.read_bytes() if path.exists() else b""
+    return data[: data.rfind(b"\n") + 1].splitlines(keepends=True)
 
 
 def digest(description: Mapping[str, Any]) -> str:
