@@ -3,13 +3,26 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 
-from stereo_ore import cloud, empty_screen, filters, grizzly, matching, order, rectify, segment, solid, strike, voxels
+from stereo_ore import (
+    cloud,
+    empty_screen,
+    filters,
+    grizzly,
+    health,
+    matching,
+    order,
+    rectify,
+    segment,
+    solid,
+    strike,
+    voxels,
+)
 from stereo_ore.config import Config
 from stereo_ore.errors import FrameError
 from stereo_ore.sources import Source
@@ -31,12 +44,6 @@ from stereo_ore.types import (
 )
 
 COUNTS = ("pixels", "disparities", "points", "voxels", "kept", "ores", "targets")
-MIN_DISPARITY_SHARE = 0.2
-"""Below this share of matched pixels in the search region a frame is degraded: a covered lens, dust, no light."""
-
-MAX_SPREAD_PX = 0.15
-"""Above this median spread of neighbouring disparities a frame is degraded: swapped eyes, or eyes of two moments,
-match by chance only. Recorded pairs of ore, dark, wet and dusty too, stay below 0.1, eyes exchanged are above 0.16."""
 
 
 @dataclass(frozen=True)
@@ -122,23 +129,15 @@ def _match(result: FrameResult, context: Context, more: Sequence[StereoPair]) ->
         disparity = matching.fuse(pairs, [disparity, *others])
     if context.empty is not None:
         matching.background.compare(context.empty.background, disparity)
-    reasons = tuple(_doubts(disparity))
-    status = "degraded" if reasons else result.status
-    result = replace(result, disparity=disparity, status=status, reasons=(*result.reasons, *reasons))
+    result = _doubt(replace(result, disparity=disparity), health.eye_doubts(pairs[0], disparity, context.config.health))
     return _count(result, pixels=disparity.values.size, disparities=int(np.isfinite(disparity.values).sum()))
 
 
-def _doubts(disparity: Disparity) -> Iterator[Reason]:
-    """Why a disparity is too poor to act on."""
-    valid, region = np.isfinite(disparity.values), disparity.region
-    share = valid.sum() / max((region.x1 - region.x0) * (region.y1 - region.y0), 1)
-    if share < MIN_DISPARITY_SHARE:
-        text = f"{100 * share:.0f} % of the pixels searched have a disparity; {100 * MIN_DISPARITY_SHARE:.0f} % wanted"
-        yield Reason("FEW_DISPARITIES", text)
-    spread = float(np.median(disparity.cues["spread_px"][valid])) if valid.any() else 0.0
-    if spread > MAX_SPREAD_PX:
-        text = f"neighbouring disparities differ by {spread:.2f} px, {MAX_SPREAD_PX} px at most are wanted"
-        yield Reason("EYES_DISAGREE", f"{text}: are the eyes swapped, or of two moments?")
+def _doubt(result: FrameResult, reasons: Iterable[Reason]) -> FrameResult:
+    """The frame with what speaks against acting on it, if anything does."""
+    if not (new := tuple(reasons)):
+        return result
+    return replace(result, status="degraded", reasons=(*result.reasons, *new))
 
 
 def _match_pair(pair: RectifiedPair, context: Context) -> Disparity:
@@ -172,10 +171,12 @@ def _filter(result: FrameResult, context: Context) -> FrameResult:
 
 
 def _grizzly(result: FrameResult, context: Context) -> FrameResult:
-    if context.empty is not None:
-        return replace(result, grizzly=context.empty.grizzly)
-    found = grizzly.find(_have(result.surface), context.site, context.config.grizzly)
-    return replace(result, grizzly=found)
+    surface, config, empty = _have(result.surface), context.config, context.empty
+    found = grizzly.find(surface, context.site, config.grizzly) if empty is None else empty.grizzly
+    result = replace(result, grizzly=found)
+    if found.source == "auto":
+        return result
+    return _doubt(result, health.screen_doubts(surface, found.plane, config.grizzly, config.health))
 
 
 def _segment(result: FrameResult, context: Context) -> FrameResult:

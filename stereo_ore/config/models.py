@@ -153,6 +153,19 @@ class OrderConfig(StageConfig):
     resolution: float = param(0.02, "differences of the sum below this are ties, which the id decides", gt=0)
 
 
+class HealthConfig(StageConfig):
+    """Self-checks: what makes a frame degraded, so that it gives no target."""
+
+    min_disparity_share: float = param(0.2, "share of the pixels searched that must have a disparity", ge=0, lt=1)
+    max_spread_px: float = param(0.15, "median difference of neighbouring disparities that eyes which agree have", "px")
+    max_row_shift_px: float = param(0.12, "row difference of the eyes that is left where they were matched", "px", gt=0)
+    max_screen_offset: float = param(
+        4.0, "distance of the screen seen from the site's plane, in standard deviations of a depth", gt=0
+    )
+    max_screen_tilt_rad: float = param(0.026, "angle between them, or more where noise makes more", "rad", gt=0, lt=1)
+    least_screen: float = param(0.15, "share of the points that a plane must have to be the screen", gt=0, lt=1)
+
+
 class Config(StageConfig):
     """All parameters of a run."""
 
@@ -166,3 +179,4 @@ class Config(StageConfig):
     solid: SolidConfig = SolidConfig()
     strike: StrikeConfig = StrikeConfig()
     order: OrderConfig = OrderConfig()
+    health: HealthConfig = HealthConfig()

@@ -1,0 +1,6 @@
+"""Self-checks of a run: what makes a frame too doubtful to act on, each a `Reason` with a code of its own."""
+
+from stereo_ore.health.eyes import doubts as eye_doubts
+from stereo_ore.health.screen import doubts as screen_doubts
+
+__all__ = ["eye_doubts", "screen_doubts"]

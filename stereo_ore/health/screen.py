@@ -1,0 +1,100 @@
+"""Whether the screen lies where the site says: else the camera was moved, or the calibration is wrong.
+
+Bars are the widest plane in the cloud, so what makes disparities wrong (a shift of one eye's columns, another
+baseline or focal length) lifts, sinks or turns this plane. It is blind to what moves the plane within itself: the
+camera slid along the screen, or turned about its normal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from stereo_ore.config import GrizzlyConfig, HealthConfig
+from stereo_ore.grizzly.bars import BarFit
+from stereo_ore.grizzly.plane import Sample, candidate_planes, draw_sample, refine
+from stereo_ore.types import F64, Mask, Plane, Reason, Surface
+
+FEWEST_POINTS = 200
+WIDE = 0.7
+"""Spread of a plane's points over that of all points, below which it may be the face of a rock."""
+CLEARER = 1.5
+"""So many times the points near the site's plane a plane elsewhere must have to be believed."""
+OVERLAP = 5.0
+"""Planes nearer than this [standard deviations of a depth] share points: one of them can't be much clearer."""
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """How the plane that the cloud shows differs from the site's.
+
+    offset_m along the site's normal, in the middle of its points; tilt_rad; and the same that noise alone may make:
+    sigma_m of one depth, sigma_rad of a plane that is off by sigma_m at the edge of its points.
+    """
+
+    offset_m: float
+    tilt_rad: float
+    sigma_m: float
+    sigma_rad: float
+
+
+def doubts(surface: Surface, plane: Plane, grizzly: GrizzlyConfig, config: HealthConfig) -> Iterator[Reason]:
+    """SCREEN_MOVED where the cloud shows the screen elsewhere; nothing where too little of a screen is seen.
+
+    Parameters
+    ----------
+    surface : Surface
+        Kept points in the image.
+    plane : Plane
+        The site's plane of the bar tops.
+    grizzly : GrizzlyConfig
+        Tolerances and seed of the search for planes.
+    config : HealthConfig
+        The limits.
+    """
+    found = deviation(surface, plane, grizzly, config.least_screen)
+    if found is None:
+        return
+    farthest = config.max_screen_offset * found.sigma_m
+    steepest = max(config.max_screen_tilt_rad, found.sigma_rad)
+    if abs(found.offset_m) > farthest or found.tilt_rad > steepest:
+        where = f"{1000 * abs(found.offset_m):.0f} mm {'above' if found.offset_m > 0 else 'below'} grizzly.plane"
+        limits = f"allowed are {1000 * farthest:.0f} mm and {np.degrees(steepest):.1f}°"
+        text = f"the screen is seen {where} and turned by {np.degrees(found.tilt_rad):.1f}°, {limits}"
+        yield Reason("SCREEN_MOVED", f"{text}: was the camera moved, or is the calibration of another one?")
+
+
+def deviation(surface: Surface, plane: Plane, config: GrizzlyConfig, least_share: float) -> Deviation | None:
+    """How far the widest plane of the cloud is from `plane`; None where no plane is wide and clear."""
+    sample = draw_sample(surface, config)
+    if len(sample) < FEWEST_POINTS:
+        return None
+    widest = next(candidate_planes(sample, config), None)
+    if widest is None:
+        return None
+    seen = refine(sample, widest[0], BarFit(None, 0.0))
+    near, on = _on(sample, plane), _on(sample, seen)
+    if on.mean() < least_share or _spread(sample.xyz[on]) < WIDE * _spread(sample.xyz):
+        return None
+    found = _deviation(sample.xyz[on], seen, plane, surface)
+    believed = on.sum() > CLEARER * near.sum() or abs(found.offset_m) < OVERLAP * found.sigma_m
+    return found if believed else None
+
+
+def _on(sample: Sample, plane: Plane) -> Mask:
+    return np.asarray(np.abs(plane.height(sample.xyz)) < sample.tolerance)
+
+
+def _spread(xyz: F64) -> float:
+    """Root mean square distance [m] of points (N, 3) from their centre."""
+    return float(np.sqrt(((xyz - xyz.mean(0)) ** 2).sum(1).mean()))
+
+
+def _deviation(xyz: F64, seen: Plane, plane: Plane, surface: Surface) -> Deviation:
+    middle = xyz.mean(0)
+    # A disparity's noise moves a point along its ray; what of that is along the normal is offset / z.
+    sigma = float(np.nanmedian(surface.sigma_z / surface.xyz[..., 2])) * abs(plane.offset)
+    tilt = float(np.arccos(np.clip(seen.normal @ plane.normal, -1, 1)))
+    return Deviation(float(plane.height(middle)), tilt, sigma, sigma / _spread(xyz))
