@@ -6,7 +6,7 @@ import importlib
 
 import typer
 
-SUBVERBS = ("filter", "stereo")
+SUBVERBS = ("filter", "speed", "stereo")
 """Modules of this package; each has ``register(app)``."""
 
 
