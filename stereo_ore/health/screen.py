@@ -25,6 +25,10 @@ CLEARER = 1.5
 OVERLAP = 5.0
 """Planes nearer than this [standard deviations of a depth] share points: one of them can't be much clearer."""
 
+LEAST_OWN, CLEAR_OF, BESIDE = 0.05, 2.5, 2.5
+"""The bars are at the site's plane after all where at least this share of the points is, so many times more than
+so many tolerances above and below: then a wider plane is the floor of the pit."""
+
 
 @dataclass(frozen=True)
 class Deviation:
@@ -75,16 +79,28 @@ def deviation(surface: Surface, plane: Plane, config: GrizzlyConfig, least_share
     if widest is None:
         return None
     seen = refine(sample, widest[0], BarFit(None, 0.0))
-    near, on = _on(sample, plane), _on(sample, seen)
+    on = _on(sample, seen)
     if on.mean() < least_share or _spread(sample.xyz[on]) < WIDE * _spread(sample.xyz):
         return None
     found = _deviation(sample.xyz[on], seen, plane, surface)
-    believed = on.sum() > CLEARER * near.sum() or abs(found.offset_m) < OVERLAP * found.sigma_m
-    return found if believed else None
+    near, beside = _share(sample, plane), _share_beside(sample, plane)
+    overlaps = abs(found.offset_m) < OVERLAP * found.sigma_m
+    stays = near > LEAST_OWN and near > CLEAR_OF * beside
+    return found if overlaps or (on.mean() > CLEARER * near and not stays) else None
 
 
 def _on(sample: Sample, plane: Plane) -> Mask:
     return np.asarray(np.abs(plane.height(sample.xyz)) < sample.tolerance)
+
+
+def _share(sample: Sample, plane: Plane) -> float:
+    return float(_on(sample, plane).mean())
+
+
+def _share_beside(sample: Sample, plane: Plane) -> float:
+    """The greater share of points on the planes a little above and below."""
+    step = BESIDE * float(np.median(sample.tolerance))
+    return max(_share(sample, Plane(plane.normal, plane.offset + side * step)) for side in (-1, 1))
 
 
 def _spread(xyz: F64) -> float:
