@@ -7,8 +7,9 @@ from screens import OPENING, RIG, WIDTH, Screen, draw
 
 from stereo_ore import grizzly, segment, synth
 from stereo_ore.config import GrizzlyConfig, SegmentConfig
+from stereo_ore.segment.cores import LEVEL_RATIO, cores
 from stereo_ore.segment.relief import fill_occlusions
-from stereo_ore.segment.split import cores, valley_depth
+from stereo_ore.segment.split import valley_depth
 from stereo_ore.types import Grizzly, OreMap, Rig, Site, Surface
 
 CONFIG = SegmentConfig()
@@ -185,6 +186,38 @@ def test_a_neck_parts_cores_only_when_it_is_thin(neck, count):
     mask[40 - half : 40 + half + 1, 45:115] = 1
     labels = cores(mask > 0, np.zeros(mask.shape, bool), 0.85, 2.0)
     assert len(np.unique(labels)) - 1 == count
+
+
+def _cores_level_by_level(mask, barrier, ratio, least):
+    """The definition of `cores`: connected sets of one level after another, from the thickest down."""
+    thickness = cv2.distanceTransform(np.pad(mask & ~barrier, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]
+    count = int(np.log(thickness.max() / least) / np.log(LEVEL_RATIO)) + 1
+    labels, heights, places = np.zeros(mask.shape, np.int32), {}, {}
+    for level in least * LEVEL_RATIO ** np.arange(count - 1, -1, -1):
+        parts, part = cv2.connectedComponents((thickness > level).astype(np.uint8), connectivity=4)
+        for number in range(1, parts):
+            here = part == number
+            met = sorted(label for label in heights if labels[places[label]] == label and here[places[label]])
+            if not met:
+                new = len(heights) + 1
+                places[new] = np.unravel_index(np.where(here, thickness, 0).argmax(), here.shape)
+                heights[new], met = thickness[places[new]], [new]
+            thickest = max(met, key=heights.get)
+            thin = [label for label in met if label != thickest and heights[label] * ratio <= level]
+            labels[np.isin(labels, thin)] = thickest
+            if len(thin) == len(met) - 1:
+                labels[here] = thickest
+    return labels
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_cores_are_those_of_the_tree_level_by_level(seed):
+    rng = np.random.default_rng(seed)
+    mask = cv2.GaussianBlur(rng.normal(size=(90, 120)), (0, 0), 5) > 0
+    barrier = rng.random(mask.shape) < 0.004
+    labels = cores(mask, barrier, 0.85, 1.5)
+    assert labels.max() > 3
+    np.testing.assert_array_equal(labels, _cores_level_by_level(mask, barrier, 0.85, 1.5))
 
 
 def test_half_occlusions_are_filled_from_the_farther_side_and_wide_gaps_are_not():

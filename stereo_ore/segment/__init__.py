@@ -9,13 +9,14 @@ import cv2
 import numpy as np
 
 from stereo_ore.config import SegmentConfig
+from stereo_ore.segment.cores import cores
 from stereo_ore.segment.evidence import bar_margin, ore_evidence, ore_mask, threshold_px
 from stereo_ore.segment.features import Scene, edges, gradient
 from stereo_ore.segment.frame import find_frame
 from stereo_ore.segment.merge import lump_probability, merge_parts
 from stereo_ore.segment.outline import filled, grow, renumbered
 from stereo_ore.segment.relief import Relief, bar_clearance, bar_coordinates, fill_occlusions, measure_relief
-from stereo_ore.segment.split import cores, long_parts, smooth_relief, valley_depth
+from stereo_ore.segment.split import long_parts, smooth_relief, valley_depth
 from stereo_ore.types import F32, I16, I32, U8, Grizzly, Mask, OreMap, Surface, Volume
 
 __all__ = ["segment"]

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 from scipy import ndimage
 
 from stereo_ore.segment import weights
@@ -13,6 +14,7 @@ from stereo_ore.types import F32, F64, I32, U8, Mask
 
 CHORDS, STATIONS = 16, 8
 """Chords drawn between two parts, and points looked at on each."""
+I64 = npt.NDArray[np.int64]
 GOLDEN = 0.61803398875
 """Steps of this share of a set spread over it evenly."""
 
@@ -54,86 +56,153 @@ def gradient(image: U8 | F32) -> F32:
     return np.asarray(cv2.magnitude(x, y), dtype=np.float32)
 
 
-def pair_features(scene: Scene, labels: I32) -> tuple[I32, F64]:
-    """Neighbouring pairs (K, 2) of parts, smaller label first, and their features (K, len(PAIR)); see `weights`."""
-    tolerance = 2 * scene.sigma_px + 0.05 * scene.relief
-    maps = np.stack(
-        [scene.valleys[1] / scene.sigma_px, scene.valleys[2] / scene.sigma_px, scene.valleys[2] / tolerance, scene.edge]
+@dataclass(frozen=True)
+class Parts:
+    """Parts 1…n of the ore, with what adds up when parts are joined.
+
+    `first` (h, w) are the labels they began with and `name` (n + 1,) what each of these is called now. Of each label:
+    `sums` (n + 1, 6) of the number of pixels, relief, edge and colour, `pixels` (ascending flat indices) and `hull`
+    (N, 2), its corner pixels. Of neighbours: `pairs` (K, 2), smaller label first, and `borders` (K, 5), the length of
+    their border and the sums of `_border_maps` over it.
+    """
+
+    first: I32
+    name: I32
+    sums: F64
+    pixels: tuple[I64, ...]
+    hulls: tuple[I32, ...]
+    pairs: I64
+    borders: F64
+
+
+def measure(scene: Scene, labels: I32) -> Parts:
+    """Measure parts with labels 1…n, 0 outside."""
+    inside = np.flatnonzero(labels)
+    mine = labels.ravel()[inside]
+    count = int(labels.max(initial=0)) + 1
+    maps = scene.relief.ravel()[inside], scene.edge.ravel()[inside], *scene.colour.reshape(-1, 3)[inside].T
+    sums = np.stack([np.bincount(mine, m, count) for m in (np.ones(len(mine)), *maps)], 1)
+    order = inside[np.argsort(mine.astype(np.uint16), kind="stable")]
+    pixels = np.split(order, np.cumsum(sums[:-1, 0]).astype(np.intp).tolist())
+    hulls = tuple(_hull(outline) for outline in _outlines(labels))
+    pairs, borders = _gathered(*_touching(scene, labels), count)
+    return Parts(
+        labels, np.arange(count, dtype=np.int32), np.asarray(sums, np.float64), tuple(pixels), hulls, pairs, borders
     )
-    pairs, length, means = borders(labels, maps)
-    if not len(pairs):
-        return pairs, np.zeros((0, len(weights.PAIR)))
-    a, b = pairs.T
-    area, mean_relief, mean_edge, *colour = (
-        _label_means(labels, x) for x in (None, scene.relief, scene.edge, *np.moveaxis(scene.colour, -1, 0))
-    )
+
+
+def join(parts: Parts, into: I32) -> Parts:
+    """The parts when each label is called `into[label]`."""
+    sums = np.zeros_like(parts.sums)
+    np.add.at(sums, into, parts.sums)
+    pixels, hulls = list(parts.pixels), list(parts.hulls)
+    for label in np.flatnonzero(into != np.arange(len(into))).tolist():
+        pixels[label], hulls[label] = pixels[label][:0], hulls[label][:0]
+    for label in np.flatnonzero(into != np.arange(len(into))).tolist():
+        to = int(into[label])
+        pixels[to] = np.sort(np.concatenate([pixels[to], parts.pixels[label]]), kind="stable")
+        hulls[to] = _hull(np.concatenate([hulls[to], parts.hulls[label]]))
+    ends = np.sort(into[parts.pairs], axis=1)
+    apart = ends[:, 0] != ends[:, 1]
+    pairs, borders = _gathered(ends[apart], parts.borders[apart], len(into))
+    return Parts(parts.first, into[parts.name], sums, tuple(pixels), tuple(hulls), pairs, borders)
+
+
+def pair_features(scene: Scene, parts: Parts) -> F64:
+    """Features (K, len(PAIR)) of the neighbouring pairs of parts; see `weights`."""
+    if not len(parts.pairs):
+        return np.zeros((0, len(weights.PAIR)))
+    a, b = parts.pairs.T
+    area = parts.sums[:, 0]
+    means = parts.sums[:, 1:] / np.maximum(area, 1)[:, None]
+    relief, edge, colour = means[:, 0], means[:, 1], means[:, 2:]
+    length = parts.borders[:, 0]
+    on_border = parts.borders[:, 1:] / length[:, None]
     small, large = np.minimum(area[a], area[b]), np.maximum(area[a], area[b])
-    height = np.maximum(np.maximum(mean_relief[a], mean_relief[b]), scene.sigma_px)
-    hulls = _outlines(labels)
-    hull = np.array([_hull_area(hulls[i]) for i in range(len(hulls))])
-    union = np.array([_hull_area(np.concatenate([hulls[i], hulls[j]])) for i, j in pairs])
+    hull = np.array([_area(corners) for corners in parts.hulls])
+    union = np.array([_area(_hull(np.concatenate([parts.hulls[i], parts.hulls[j]]))) for i, j in parts.pairs.tolist()])
     skewed = np.column_stack(
         [
-            means,
-            means[:, 3] / np.maximum(np.minimum(mean_edge[a], mean_edge[b]), 0.2),
+            on_border,
+            on_border[:, 3] / np.maximum(np.minimum(edge[a], edge[b]), 0.2),
             length / np.sqrt(small),
-            np.sqrt(sum((c[a] - c[b]) ** 2 for c in colour)) / 10,
-            np.abs(mean_relief[a] - mean_relief[b]) / height,
-            _chord_features(scene, labels, pairs),
+            np.sqrt(((colour[a] - colour[b]) ** 2).sum(1)) / 10,
+            np.abs(relief[a] - relief[b]) / np.maximum(np.maximum(relief[a], relief[b]), scene.sigma_px),
+            _chord_features(scene, parts),
         ]
     )
     solidity = (area[a] + area[b]) * (1 / np.maximum(union, 1) - 1 / np.maximum(hull[a] + hull[b], 1))
     plain = np.column_stack([np.log(large / small), np.sqrt(small) / scene.opening_px, solidity])
-    return pairs, np.column_stack([np.log1p(np.maximum(skewed, 0)), plain])
+    return np.column_stack([np.log1p(np.maximum(skewed, 0)), plain])
 
 
 def part_features(scene: Scene, labels: I32) -> F64:
     """Features (n + 1, len(PART)) of the parts 0…n; see `weights`."""
-    t = scene.threshold_px
-    area = np.maximum(_label_means(labels, None), 1)
-    raw = np.nan_to_num(scene.raw, nan=0.0)
-    rim = (labels > 0) & (cv2.erode(labels.astype(np.float32), np.ones((3, 3), np.uint8)) == 0)
-    on_rim = np.where(rim, labels, 0)
-    hull = np.array([max(_hull_area(outline), 1.0) for outline in _outlines(labels)])
+    t, count = scene.threshold_px, int(labels.max(initial=0)) + 1
+    inside = np.flatnonzero(labels)
+    mine = labels.ravel()[inside]
+    area = np.maximum(np.bincount(mine, minlength=count), 1)
+    rim = np.flatnonzero((cv2.erode((labels > 0).astype(np.uint8), np.ones((3, 3), np.uint8)) == 0) & (labels > 0))
+    on_rim = labels.ravel()[rim]
+    rim_length = np.maximum(np.bincount(on_rim, minlength=count), 1)
+    raw = scene.raw.ravel()[inside]
+    measured = np.isfinite(raw)
+    relief = np.where(measured, raw, np.float32(0)) / np.float32(t)
+
+    def mean(values: np.ndarray) -> F64:
+        return np.bincount(mine, values, count) / area
+
+    hull = np.array([max(_area(_hull(outline)), 1.0) for outline in _outlines(labels)])
     return np.column_stack(
         [
-            _label_means(labels, np.clip(raw / t, -2, 4)),
-            _label_means(labels, raw > 1.5 * t),
+            mean(np.clip(relief, -2, 4)),
+            mean(relief > 1.5),
             np.log(area / scene.opening_px**2),
-            _label_means(labels, np.isfinite(scene.raw)),
-            _label_means(labels, scene.on_bar),
+            mean(measured),
+            mean(scene.on_bar.ravel()[inside]),
             area / hull,
-            np.log1p(_label_means(on_rim, scene.edge, len(hull))),
-            np.log1p(_label_means(labels, scene.edge)),
-            np.log1p(_label_means(on_rim, scene.step, len(hull))),
-            _label_means(labels, scene.inside),
+            np.log1p(_sums(on_rim, scene.edge, rim, count) / rim_length),
+            np.log1p(mean(scene.edge.ravel()[inside])),
+            np.log1p(_sums(on_rim, scene.step, rim, count) / rim_length),
+            mean(scene.inside.ravel()[inside]),
         ]
     )
 
 
-def _label_means(labels: I32, values: np.ndarray | None, count: int = 0) -> F64:
-    """Mean of the values over each label 0…n; the number of pixels without values."""
-    area = np.bincount(labels.ravel(), minlength=count)
-    if values is None:
-        return area.astype(np.float64)
-    return np.bincount(labels.ravel(), values.ravel().astype(np.float64), count) / np.maximum(area, 1)
+def _sums(labels: I32, values: F32, at: I64, count: int) -> F64:
+    """Sums (count,) over each label of the values at flat indices, whose labels these are."""
+    return np.asarray(np.bincount(labels, values.ravel()[at], count))
 
 
-def borders(labels: I32, maps: F32) -> tuple[I32, F64, F64]:
-    """Neighbouring pairs (K, 2) of labels > 0, the length of their border (K,), and the means of maps on it (K, F).
+def _touching(scene: Scene, labels: I32) -> tuple[I64, F64]:
+    """Labels (M, 2), smaller first, on the two sides of each step between parts, and (M, 5) ones and border maps.
 
-    Of the two pixels across the border the larger value of a map (F, h, w) counts.
+    Of the two pixels beside the step the larger value of a map counts.
     """
-    found = []
-    for first, second in ((np.s_[:-1, :], np.s_[1:, :]), (np.s_[:, :-1], np.s_[:, 1:])):
-        a, b = labels[first], labels[second]
-        meet = (a != b) & (a > 0) & (b > 0)
-        value = np.maximum(maps[(slice(None), *first)][:, meet], maps[(slice(None), *second)][:, meet])
-        found.append((np.minimum(a, b)[meet], np.maximum(a, b)[meet], value))
-    low, high, values = (np.concatenate(parts, axis=-1) for parts in zip(*found, strict=True))
-    pairs, inverse, length = np.unique(np.stack([low, high], 1), axis=0, return_inverse=True, return_counts=True)
-    means = [np.bincount(inverse.reshape(-1), v, len(pairs)) / np.maximum(length, 1) for v in values]
-    return pairs.astype(np.int32), length.astype(np.float64), np.stack(means, 1)
+    pairs, maps = [], []
+    for rows, columns in ((1, 0), (0, 1)):
+        a, b = labels[: -rows or None, : -columns or None], labels[rows:, columns:]
+        row, column = np.nonzero((a != b) & (np.minimum(a, b) > 0))
+        ends = np.stack([a[row, column], b[row, column]], 1)
+        pairs.append(np.sort(ends, axis=1).astype(np.int64))
+        here, there = (_border_maps(scene, row + i, column + j) for i, j in ((0, 0), (rows, columns)))
+        maps.append(np.maximum(here, there))
+    return np.concatenate(pairs), np.concatenate(maps)
+
+
+def _border_maps(scene: Scene, row: I64, column: I64) -> F64:
+    """One, valleys at two reaches [sigma], the finer over its tolerance, and edges at M pixels: (M, 5)."""
+    middle, fine = scene.valleys[1][row, column], scene.valleys[2][row, column]
+    tolerance = 2 * scene.sigma_px + 0.05 * scene.relief[row, column]
+    maps = np.ones_like(fine), middle / scene.sigma_px, fine / scene.sigma_px, fine / tolerance, scene.edge[row, column]
+    return np.stack(maps, 1).astype(np.float64)
+
+
+def _gathered(pairs: I64, values: F64, count: int) -> tuple[I64, F64]:
+    """Different ones of the pairs (M, 2) of labels below `count`, and the sums of the values (M, F) over each."""
+    key, inverse = np.unique(pairs[:, 0] * count + pairs[:, 1], return_inverse=True)
+    sums = np.stack([np.bincount(inverse, column, len(key)) for column in values.T], 1)
+    return np.stack(np.divmod(key, count), 1), np.asarray(sums, np.float64)
 
 
 def _outlines(labels: I32) -> list[I32]:
@@ -151,36 +220,38 @@ def _outlines(labels: I32) -> list[I32]:
     return out
 
 
-def _hull_area(points: I32) -> float:
-    return float(cv2.contourArea(cv2.convexHull(points))) if len(points) > 2 else 0.0
+def _hull(points: I32) -> I32:
+    """Corners (K, 2) of the convex hull of points (N, 2)."""
+    return np.asarray(cv2.convexHull(points), np.int32).reshape(-1, 2) if len(points) > 2 else points
 
 
-def _chord_features(scene: Scene, labels: I32, pairs: I32) -> F64:
+def _area(corners: I32) -> float:
+    return float(cv2.contourArea(corners)) if len(corners) > 2 else 0.0
+
+
+def _chord_features(scene: Scene, parts: Parts) -> F64:
     """Of each pair, how far chords between its parts pass in front of the surface, (K, 2).
 
     The mean over all chords relative to the tolerance, and the median of each chord's largest [sigma]. A convex body
     holds all its chords.
     """
-    order = np.argsort(labels, axis=None, kind="stable")
-    start = np.concatenate([[0], np.cumsum(np.bincount(labels.ravel()))])
-    step = np.arange(CHORDS) * GOLDEN
+    step, width = np.arange(CHORDS) * GOLDEN, parts.first.shape[1]
 
-    def spread(label: I32, shift: float) -> tuple[I32, I32]:
-        count = start[label + 1] - start[label]
-        flat = order[start[label][:, None] + ((step + shift) % 1 * count[:, None]).astype(np.intp)]
-        return np.divmod(flat, labels.shape[1])
+    def ends(labels: I64, shift: float) -> tuple[I64, I64]:
+        pixels = [parts.pixels[label] for label in labels.tolist()]
+        return np.divmod(np.stack([p[((step + shift) % 1 * len(p)).astype(np.intp)] for p in pixels]), width)
 
-    (row_a, column_a), (row_b, column_b) = spread(pairs[:, 0], 0.0), spread(pairs[:, 1], 0.37)
+    (row_a, column_a), (row_b, column_b) = ends(parts.pairs[:, 0], 0.0), ends(parts.pairs[:, 1], 0.37)
     share = np.linspace(0.15, 0.85, STATIONS)
 
-    def along(a: I32 | F32, b: I32 | F32) -> F64:
+    def along(a: I64 | F32, b: I64 | F32) -> F64:
         return np.asarray(a[..., None] + (b - a)[..., None] * share, dtype=np.float64)
 
     row = np.rint(along(row_a, row_b)).astype(np.intp)
     column = np.rint(along(column_a, column_b)).astype(np.intp)
     at_a, at_b = scene.relief[row_a, column_a], scene.relief[row_b, column_b]
-    met = labels[row, column]
-    own = (met == pairs[:, 0, None, None]) | (met == pairs[:, 1, None, None])
+    met = parts.name[parts.first[row, column]]
+    own = (met == parts.pairs[:, 0, None, None]) | (met == parts.pairs[:, 1, None, None])
     front = np.where(own, np.maximum(along(at_a, at_b) - scene.relief[row, column], 0), 0)
     tolerance = 2 * scene.sigma_px + 0.05 * np.maximum(at_a.mean(1), at_b.mean(1))
     return np.column_stack([front.mean((1, 2)) / tolerance, np.median(front.max(2), axis=1) / scene.sigma_px])

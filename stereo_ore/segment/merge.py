@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stereo_ore.segment import weights
-from stereo_ore.segment.features import Scene, pair_features, part_features
+from stereo_ore.segment.features import Scene, join, measure, pair_features, part_features
 from stereo_ore.types import F64, I32
 
 ROUNDS = 12
@@ -16,19 +16,20 @@ def merge_parts(scene: Scene, labels: I32, limit: float) -> I32:
 
     In each round those pairs are joined that are the best of both partners, and the features are measured again.
     """
+    parts = measure(scene, labels)
     for _ in range(ROUNDS):
-        pairs, features = pair_features(scene, labels)
-        same = weights.probability(features, weights.PAIR, weights.PAIR_BIAS) if len(pairs) else np.zeros(0)
-        best = np.zeros(labels.max(initial=0) + 1)
+        pairs = parts.pairs
+        same = weights.probability(pair_features(scene, parts), weights.PAIR, weights.PAIR_BIAS)
+        best = np.zeros(len(parts.name))
         for end in pairs.T:
             np.maximum.at(best, end, same)
-        join = (same > limit) & (same >= best[pairs[:, 0]]) & (same >= best[pairs[:, 1]])
-        if not join.any():
+        join_now = (same > limit) & (same >= best[pairs[:, 0]]) & (same >= best[pairs[:, 1]])
+        if not join_now.any():
             break
         into = np.arange(len(best), dtype=np.int32)
-        into[pairs[join, 1]] = pairs[join, 0]
-        labels = into[labels]
-    return labels
+        into[pairs[join_now, 1]] = pairs[join_now, 0]
+        parts = join(parts, into)
+    return parts.name[labels]
 
 
 def lump_probability(scene: Scene, labels: I32) -> F64:
