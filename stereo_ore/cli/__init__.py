@@ -6,12 +6,13 @@ import importlib
 import logging
 import os
 import sys
-from typing import Annotated
+from io import TextIOWrapper
+from typing import Annotated, NoReturn
 
 import typer
 
 from stereo_ore import __version__
-from stereo_ore.errors import StereoOreError
+from stereo_ore.errors import OutputError, StereoOreError
 
 VERBS = (
     "run",
@@ -77,14 +78,27 @@ def load_verbs() -> None:
 def launch(arguments: list[str] | None = None) -> None:
     """Run the command line; known errors end as one line and exit code 1."""
     load_verbs()
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):  # names of files may hold what the terminal's encoding has not
+            stream.reconfigure(errors="backslashreplace")
     try:
         app(arguments)
     except StereoOreError as error:
-        if os.environ.get("STEREO_ORE_DEBUG"):
-            raise
-        typer.echo(f"error: {error}", err=True)
-        sys.exit(EXIT_KNOWN_ERROR)
+        _end(error)
     except BrokenPipeError:
         # The reader of our output went away (`| head`): no message helps, and Python must not try to flush.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(EXIT_KNOWN_ERROR)
+    except OSError as fault:
+        # What no reader or writer has foreseen: a name too long, a folder that may not be entered.
+        _end(OutputError(fault.strerror or str(fault), file=fault.filename, remedy="Check path, space and permissions"))
+    except MemoryError:
+        _end(OutputError("not enough memory", remedy="Use smaller images or fewer --workers"))
+
+
+def _end(error: StereoOreError) -> NoReturn:
+    """One line for a known error; all of it with ``--debug``."""
+    if os.environ.get("STEREO_ORE_DEBUG"):
+        raise error
+    typer.echo(f"error: {error}", err=True)
+    sys.exit(EXIT_KNOWN_ERROR)

@@ -49,7 +49,7 @@ def validate(model: type[Model], data: Any, file: str | Path, error: type[Stereo
     try:
         return model.model_validate(data)
     except ValidationError as fault:
-        lines = [_describe(item, model) for item in fault.errors(include_url=False)]
+        lines = [_describe(item, model).replace("\n", "\\n") for item in fault.errors(include_url=False)]
         text = lines[0] if len(lines) == 1 else f"{len(lines)} faults:\n  " + "\n  ".join(lines)
         raise error(text, file=file) from None
 

@@ -10,7 +10,7 @@ import hashlib
 import json
 import platform
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -24,6 +24,7 @@ from stereo_ore.sinks.ore_table import ores_csv
 
 LINES = ("frames.jsonl", "timings.jsonl", "inputs.jsonl")
 FRAME_FOLDERS = ("clouds", "overlays", "stages", "pictures")
+FRAME_SUFFIXES = (".ply", ".png", ".npz")
 PACKAGES = ("numpy", "scipy", "scikit-learn", "opencv-contrib-python-headless", "open3d-cpu", "open3d", "pydantic")
 
 
@@ -78,6 +79,11 @@ class RunFolder:
     ) -> None:
         for file in self._files.values():
             file.close()
+
+    def earlier(self) -> Iterator[FrameLines]:
+        """The lines of the frames that are done already."""
+        files = [iter(_whole_lines(self._part(name))) for name in LINES]
+        return (FrameLines(*(line.decode("utf-8", "replace") for line in lines)) for lines in zip(*files, strict=True))
 
     def add(self, lines: FrameLines) -> None:
         """Append one frame, flushed so that a kill loses no more than the frame in work."""
@@ -150,7 +156,8 @@ class RunFolder:
             (self.folder / name).unlink(missing_ok=True)
         for child in FRAME_FOLDERS:
             for file in (self.folder / child).glob("*"):
-                file.unlink()
+                if file.suffix in FRAME_SUFFIXES and file.is_file():
+                    file.unlink()
 
 
 def _whole_lines(path: Path) -> list[bytes]:
