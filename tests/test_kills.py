@@ -44,7 +44,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
         for eye in ("left", "right"):
             if (index, eye) != (4, "right"):
                 image = cv2.imread(str(folder / "scene" / f"{eye}.png"))
-                cv2.imwrite(str(images / f"{eye}{index:06d}.png"), np.clip(image.astype(int) - 2 * index, 0, 255))
+                cv2.imwrite(str(images / f"{eye}{index:06d}.png"), cv2.subtract(image, np.full_like(image, 2 * index)))
     return ["stereo-ore", "-q", "run", str(images), *arguments, "--no-report"]
 
 

@@ -15,6 +15,8 @@ from stereo_ore.errors import ConfigError, StereoOreError
 from stereo_ore.yaml_io import load_yaml, parse_yaml
 
 Model = TypeVar("Model", bound=BaseModel)
+SECRETS = frozenset(("users", "password"))
+"""Keys whose value an error does not repeat: where it is wrong, it may be a password in the wrong place."""
 
 
 def load_config(path: Path | None = None, settings: Sequence[str] = ()) -> Config:
@@ -57,7 +59,8 @@ def validate(model: type[Model], data: Any, file: str | Path, error: type[Stereo
 def _describe(item: Any, model: type[BaseModel]) -> str:
     key = ".".join(str(part) for part in item["loc"])
     if item["type"] != "extra_forbidden":
-        shown = "" if item["type"] == "missing" else f" (given: {item['input']!r:.80})"
+        hidden = item["type"] == "missing" or not SECRETS.isdisjoint(item["loc"])
+        shown = "" if hidden else f" (given: {item['input']!r:.80})"
         return f"{key}: {item['msg']}{shown}"
     near = nearest(str(item["loc"][-1]), _keys_at(model, item["loc"][:-1]))
     return f"{key}: unknown key{near}"
