@@ -54,7 +54,8 @@ def recording(half: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def files(half: Path) -> tuple[object, ...]:
-    return "--calib", half / "calibration.yaml", "--site", half / "site.yaml"
+    copies = "--set", "health.refuse_frozen=false"
+    return "--calib", half / "calibration.yaml", "--site", half / "site.yaml", *copies
 
 
 @pytest.fixture(scope="module")

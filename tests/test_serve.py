@@ -21,7 +21,9 @@ from live import ListSink, free_port, lines_of, names_in, running, wait_for
 from typer.testing import CliRunner
 
 from stereo_ore.cli import app, load_verbs
+from stereo_ore.config import HealthConfig
 from stereo_ore.errors import FrameError, SourceError, StereoOreError
+from stereo_ore.health.history import Watch
 from stereo_ore.serve.camera import Camera, open_camera
 from stereo_ore.serve.frames import LiveFrame, Position, Recording
 from stereo_ore.serve.loop import position
@@ -44,7 +46,8 @@ def test_frames_copied_in_come_out_as_records_and_targets(synth_folder, tmp_path
     options = [
         f"--{name}={synth_folder / file}" for name, file in (("calib", "calibration.yaml"), ("site", "site.yaml"))
     ]
-    arguments = [*COMMAND, "--watch", str(inbox), *options, f"--out={out}", "--tcp=0", "--page=0", "--valid-for=60"]
+    options += ["--set=health.refuse_frozen=false", f"--out={out}", "--valid-for=60"]
+    arguments = [*COMMAND, "--watch", str(inbox), *options, "--tcp=0", "--page=0"]
 
     def serve(frames: range) -> list[dict[str, Any]]:
         """Messages that a consumer got while the frames were copied in."""
@@ -98,7 +101,7 @@ def test_a_fault_of_ours_is_a_failed_frame_and_no_end(tmp_path):
     class Context:
         site = Site()
 
-    record = json.loads(Processor(Context(), FrameFiles(tmp_path))(frame).record)
+    record = json.loads(Processor(Context(), FrameFiles(tmp_path), Watch(HealthConfig()))(frame).record)
     assert (record["status"], record["reasons"][0]["code"], record["targets"]) == ("failed", "INTERNAL_ERROR", [])
 
 

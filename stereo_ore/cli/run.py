@@ -69,6 +69,7 @@ def run(
     """
     from stereo_ore import batch, cluster, figures, pipeline
     from stereo_ore.config import load_config
+    from stereo_ore.health.history import Watch
     from stereo_ore.sinks.frame_files import FrameFiles
     from stereo_ore.sinks.run_folder import RunFolder
     from stereo_ore.site import load_site
@@ -97,9 +98,10 @@ def run(
     with RunFolder(out, description, resume=resume, overwrite=overwrite) as folder:
         _write_inputs(out, context, site)
         todo = indices[folder.done :]
+        watch = Watch(context.config.health, folder.earlier())
         with _progress(len(indices), folder.done) as advance, _stoppable():
             for lines in cluster.run(job, todo, scheduler) if scheduler else batch.run(job, todo, workers):
-                folder.add(lines)
+                folder.add(watch.judge(lines))
                 advance()
         folder.finish()
     if report:

@@ -60,6 +60,7 @@ def serve(
 
     Example: `stereo-ore serve --watch inbox --calib calib/zed2_hd720.yaml --site site.yaml --out live --opcua 4840`
     """
+    from stereo_ore.health.history import Watch
     from stereo_ore.serve.processing import Processor
     from stereo_ore.sinks.frame_files import FrameFiles
     from stereo_ore.sinks.message import Origin, transform_id
@@ -73,7 +74,8 @@ def serve(
     with RunFolder(out, description, resume=not overwrite, overwrite=overwrite) as folder:
         _write_inputs(out, context, site)
         origin = Origin(transform_id=transform_id(context.site.T_arm_camera))
-        run_live(frames, Processor(context, FrameFiles(out)), folder, consumers, origin, valid_for, page)
+        processor = Processor(context, FrameFiles(out), Watch(context.config.health, folder.earlier()))
+        run_live(frames, processor, folder, consumers, origin, valid_for, page)
 
 
 def run_live(

@@ -164,6 +164,9 @@ class HealthConfig(StageConfig):
     )
     max_screen_tilt_rad: float = param(0.026, "angle between them, or more where noise makes more", "rad", gt=0, lt=1)
     least_screen: float = param(0.15, "share of the points that a plane must have to be the screen", gt=0, lt=1)
+    refuse_frozen: bool = param(True, "a frame with an eye's image equal to the last, pixel for pixel, is degraded")
+    min_of_usual: float = param(0.6, "share of the valid disparities that good frames before had", ge=0, lt=1)
+    history: int = param(20, "good frames that say what is usual", ge=5, le=10_000)
 
 
 class Config(StageConfig):

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from stereo_ore import pipeline
 from stereo_ore.batch import frame_lines
 from stereo_ore.errors import FrameError
+from stereo_ore.health.history import Watch
 from stereo_ore.serve.frames import LiveFrame
 from stereo_ore.sinks.frame_files import FrameFiles
 from stereo_ore.sinks.run_folder import FrameLines
@@ -23,13 +24,14 @@ class Processor:
 
     context: pipeline.Context
     files: FrameFiles
+    watch: Watch
 
     def __call__(self, frame: LiveFrame) -> FrameLines:
         """Process a frame and write its files; what can't be read is a failed frame."""
         result = self._result(frame)
         lines = frame_lines(result, self.context.site, frame.files)
         self.files.write(result)
-        return lines
+        return self.watch.judge(lines)
 
     def _result(self, frame: LiveFrame) -> FrameResult:
         start = time.perf_counter()
