@@ -203,10 +203,12 @@ def _describe(
     height, width = surface.xyz.shape[:2]
     labels = ore_map.labels[surface.y0 : surface.y0 + height, surface.x0 : surface.x0 + width]
     n = len(solids)
-    measured = (labels > 0) & np.isfinite(surface.xyz[:, :, 2])
-    pixels = np.bincount(ore_map.labels.ravel(), minlength=n + 1)
-    points = np.bincount(labels[measured], minlength=n + 1)
-    sums = [np.bincount(labels[measured], surface.xyz[:, :, axis][measured], n + 1) for axis in range(3)]
+    inside = np.flatnonzero(labels)
+    mine, xyz = labels.ravel()[inside], surface.xyz.reshape(-1, 3)[inside]
+    measured = np.isfinite(xyz[:, 2])
+    pixels = np.bincount(mine, minlength=n + 1)
+    points = np.bincount(mine[measured], minlength=n + 1)
+    sums = [np.bincount(mine[measured], axis, n + 1) for axis in xyz[measured].T]
     centroids = np.stack(sums, 1) / np.maximum(points, 1)[:, None]
     return tuple(
         Ore(id, int(points[id]), int(pixels[id]), id in ore_map.cut, centroids[id], solids[id - 1], plans[id - 1])

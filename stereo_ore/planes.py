@@ -7,24 +7,38 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from stereo_ore.types import F32, F64, Rig
+from stereo_ore.types import F32, F64, Mask, Rig
 
 
 @dataclass(frozen=True)
 class PlaneField:
     """The plane around each pixel of an (h, w) crop.
 
-    depth (h, w) [m] at the pixel, unit normal (h, w, 3) towards the camera, rms (h, w) [m] of the residual along z,
-    share (h, w) of the window's weight.
+    `inverse` (h, w) [1/m] is the inverse depth at the pixel, `slope_u` and `slope_v` (h, w) its slopes [1/(m px)],
+    `rms` (h, w) [m] the residual along z, `share` (h, w) that of the window's weight.
     """
 
-    depth: F64
-    normal: F64
-    rms: F64
-    share: F64
+    inverse: F32
+    slope_u: F32
+    slope_v: F32
+    rms: F32
+    share: F32
+    rig: Rig
+
+    def depth(self, where: Mask) -> F64:
+        """Depth (N,) [m] at the pixels of a mask."""
+        return 1.0 / self.inverse[where].astype(np.float64)
+
+    def normal(self, where: Mask) -> F64:
+        """Unit normals (N, 3) towards the camera at the pixels of a mask."""
+        v, u = np.nonzero(where)
+        a, b, here = (image[where].astype(np.float64) for image in (self.slope_u, self.slope_v, self.inverse))
+        c = here - a * (u - self.rig.cx) - b * (v - self.rig.cy)
+        normal = -np.stack([a * self.rig.fx, b * self.rig.fy, c], -1)
+        return np.asarray(normal / np.sqrt((normal**2).sum(-1, keepdims=True)))
 
 
-def fit_planes(depth_m: F64, weight: F64, side: int, rig: Rig) -> PlaneField:
+def fit_planes(depth_m: F32, weight: F32, side: int, rig: Rig) -> PlaneField:
     """Fit a plane to the weighted pixels of the window around each pixel.
 
     On a plane inverse depth is linear in the pixel, 1/z = a·(u − cx) + b·(v − cy) + c, and its noise is that of
@@ -43,13 +57,13 @@ def fit_planes(depth_m: F64, weight: F64, side: int, rig: Rig) -> PlaneField:
         Geometry of the crop: see `crop_rig`.
     """
     h, w = weight.shape
-    inverse = np.where(weight > 0, 1.0 / np.where(weight > 0, depth_m, 1.0), 0.0)
-    middle = float((weight * inverse).sum() / max(float(weight.sum()), 1e-9))
-    q, counts = (inverse - middle).astype(np.float32), weight.astype(np.float32)
-    u, v = np.meshgrid(np.arange(w, dtype=np.float32) - w // 2, np.arange(h, dtype=np.float32) - h // 2)
-    wu, wv, wq = counts * u, counts * v, counts * q
-    share = _mean(counts, side)
-    over = 1.0 / np.maximum(share, 1e-6)
+    inverse = np.divide(1.0, depth_m, out=np.zeros(weight.shape, np.float32), where=weight > 0)
+    middle = np.float32((weight * inverse).sum() / max(float(weight.sum()), 1e-9))
+    u, v = np.arange(w, dtype=np.float32)[None, :] - w // 2, np.arange(h, dtype=np.float32)[:, None] - h // 2
+    q = inverse - middle
+    wu, wv, wq = weight * u, weight * v, weight * q
+    share = _mean(weight, side)
+    over = 1 / np.maximum(share, np.float32(1e-6))
     mu, mv, mq = (_mean(x, side) * over for x in (wu, wv, wq))
     uu, uv, vv, uq, vq, qq = (
         _mean(x * y, side) * over - mx * my
@@ -57,14 +71,12 @@ def fit_planes(depth_m: F64, weight: F64, side: int, rig: Rig) -> PlaneField:
             (wu, u, mu, mu), (wu, v, mu, mv), (wv, v, mv, mv), (wu, q, mu, mq), (wv, q, mv, mq), (wq, q, mq, mq)
         )
     )  # fmt: skip
-    determinant = np.maximum(uu * vv - uv * uv, 1e-4)
+    determinant = np.maximum(uu * vv - uv * uv, np.float32(1e-4))
     a, b = (uq * vv - vq * uv) / determinant, (vq * uu - uq * uv) / determinant
-    here = np.maximum(middle + mq + a * (u - mu) + b * (v - mv), 1e-6)
-    c = here - a * (u + (w // 2 - rig.cx)) - b * (v + (h // 2 - rig.cy))
-    normal = -np.stack([a * rig.fx, b * rig.fy, c], -1).astype(np.float64)
-    normal /= np.sqrt((normal**2).sum(-1, keepdims=True))
-    rms = np.sqrt(np.maximum(qq - a * uq - b * vq, 0.0)) / here**2
-    return PlaneField(1.0 / here.astype(np.float64), normal, rms.astype(np.float64), share.astype(np.float64))
+    here = np.maximum(middle + mq + a * (u - mu) + b * (v - mv), np.float32(1e-6))
+    rms = np.sqrt(np.maximum(qq - a * uq - b * vq, 0)) / here**2
+    inverse, slope_u, slope_v, residual = (np.asarray(image, np.float32) for image in (here, a, b, rms))
+    return PlaneField(inverse, slope_u, slope_v, residual, share, rig)
 
 
 def _mean(image: F32, side: int) -> F32:

@@ -13,6 +13,7 @@ from stereo_ore.config.models import StrikeConfig
 from stereo_ore.planes import crop_rig, fit_planes
 from stereo_ore.transforms import apply
 from stereo_ore.types import (
+    F32,
     F64,
     I16,
     Grizzly,
@@ -95,22 +96,22 @@ class Patches:
 def _patches(surface: Surface, labels: I16, box: tuple[slice, ...], number: int, config: StrikeConfig) -> Patches:
     stride = max(1, round(float(np.sqrt((labels[box] == number).sum() / PATCH_PIXELS))))
     rows, columns = (slice(s.start, s.stop, stride) for s in box)
-    lump, z = labels[rows, columns] == number, surface.xyz[rows, columns, 2].astype(np.float64)
+    lump, z = labels[rows, columns] == number, np.ascontiguousarray(surface.xyz[rows, columns, 2])
     seen = lump & np.isfinite(z)
     rig = crop_rig(surface.rig, surface.x0 + columns.start, surface.y0 + rows.start, stride)
     sigma_z = surface.sigma_z[rows, columns][seen].astype(np.float64)
     side = _window(z[seen], sigma_z, int(lump.sum()), rig, config)
-    field = fit_planes(z, seen.astype(np.float64), side, rig)
+    field = fit_planes(z, seen.astype(np.float32), side, rig)
     edge_px = cv2.distanceTransform(np.pad(lump, 1).astype(np.uint8), cv2.DIST_L2, 3)[1:-1, 1:-1]
     v, u = np.nonzero(seen)
-    depth = field.depth[seen]
+    depth = field.depth(seen)
     return Patches(
-        rig.back_project(u, v, depth), field.normal[seen], field.rms[seen], edge_px[seen] * depth / rig.fx, sigma_z,
-        field.share[seen],
+        rig.back_project(u, v, depth), field.normal(seen), field.rms[seen].astype(np.float64),
+        edge_px[seen] * depth / rig.fx, sigma_z, field.share[seen].astype(np.float64),
     )  # fmt: skip
 
 
-def _window(z_m: F64, sigma_z: F64, pixels: int, rig: Rig, config: StrikeConfig) -> int:
+def _window(z_m: F32, sigma_z: F64, pixels: int, rig: Rig, config: StrikeConfig) -> int:
     """Odd side [px] of the fitted window: the tool's diameter, or more where noise demands it.
 
     A slope fitted to n × n points of spacing p and noise σ has the standard deviation √12·σ/(n²·p).

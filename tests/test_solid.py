@@ -182,11 +182,11 @@ def test_plane_fields_are_exact_on_planes(a: float, b: float, z: float) -> None:
     v, u = np.mgrid[:40, :60]
     rays = rig.back_project(u, v, np.ones(u.shape))
     depth = -z / (rays @ normal)
-    weight = np.ones(u.shape)
+    weight, everywhere = np.ones(u.shape, np.float32), np.ones(u.shape, bool)
     weight[5:9, 7:9] = 0
-    field = fit_planes(np.where(weight > 0, depth, np.nan), weight, 7, rig)
-    np.testing.assert_allclose(field.depth, depth, rtol=1e-5)
-    np.testing.assert_allclose(field.normal, np.broadcast_to(normal, field.normal.shape), atol=2e-3)
+    field = fit_planes(np.where(weight > 0, depth, np.nan).astype(np.float32), weight, 7, rig)
+    np.testing.assert_allclose(field.depth(everywhere), depth.ravel(), rtol=1e-5)
+    np.testing.assert_allclose(field.normal(everywhere), np.broadcast_to(normal, (u.size, 3)), atol=2e-3)
     assert field.rms.max() < 2e-4 * z
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from stereo_ore.solid.measure import Body, Box, convex_body, extremes, longest_calliper, smallest_box
 from stereo_ore.solid.sight import NEAR, STEP, Sight
@@ -37,11 +37,11 @@ def gather(sight: Sight, bars: Bars | None, opening_m: float | None) -> Cues | N
     """Cues of a lump, or None when its visible points span no volume."""
     s = sight.size
     points = extremes(sight.points)
-    try:
-        outline = sight.points[ConvexHull(sight.points[:, :2]).vertices, :2]
-    except QhullError:
+    corners = cv2.convexHull(sight.points[:, :2].astype(np.float32), returnPoints=False)
+    if len(corners) < 3:
         return None
-    low, top = np.percentile(sight.points[:, 2], (0.5, 99.5))
+    outline = sight.points[corners[:, 0], :2]
+    low, top = _percentiles(sight.points[:, 2], 0.5, 99.5)
     support = _support(sight, low)
     bodies = {
         "visible": convex_body(points),
@@ -157,7 +157,10 @@ def _bar_cues(sight: Sight, outline: F64, bars: Bars | None, opening_m: float | 
 
 def _percentiles(values: F64, *shares: float) -> list[float]:
     """Percentiles of values, zeros when there are none."""
-    return np.percentile(values, shares).tolist() if len(values) else [0.0] * len(shares)
+    if not len(values):
+        return [0.0] * len(shares)
+    places = np.array(shares) / 100 * (len(values) - 1)
+    return [float(value) for value in np.interp(places, np.arange(len(values)), np.sort(values))]
 
 
 def _mean(values: F64) -> float:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from stereo_ore.types import F64, I32
+from stereo_ore.types import F32, F64, I32
 
 IN_PLANE_TURNS = 12
 """Turns of the box tried about each face normal: steps of 7.5°, whose loss in length is below 0.3 %."""
@@ -40,12 +41,19 @@ class Box:
 
 def extremes(points: F64) -> F64:
     """Points (M, 3) that span (N, 3) ones: in each of `DIRECTIONS` the farthest but a share of `TRIMMED`."""
+    along = _sphere() @ points.T.astype(np.float32)
+    rank = len(points) - 1 - int(TRIMMED * len(points))
+    limit = np.partition(along, rank, axis=1)[:, rank]
+    return np.asarray(points[np.unique((along == limit[:, None]).argmax(1))])
+
+
+@functools.cache
+def _sphere() -> F32:
+    """Unit vectors (DIRECTIONS, 3) spread evenly, on a spiral."""
     i = np.arange(DIRECTIONS) + 0.5
     polar, azimuth = np.arccos(1 - 2 * i / DIRECTIONS), np.pi * (1 + np.sqrt(5)) * i
     around = np.sin(polar)
-    directions = np.stack([np.cos(azimuth) * around, np.sin(azimuth) * around, np.cos(polar)], 1)
-    rank = len(points) - 1 - int(TRIMMED * len(points))
-    return np.asarray(points[np.unique(np.argpartition(directions @ points.T, rank, axis=1)[:, rank])])
+    return np.stack([np.cos(azimuth) * around, np.sin(azimuth) * around, np.cos(polar)], 1).astype(np.float32)
 
 
 def convex_body(points: F64) -> Body | None:
@@ -89,21 +97,27 @@ def smallest_box(body: Body) -> Box:
     first = _cross(normals, helper)
     first /= np.sqrt((first**2).sum(1, keepdims=True))
     second = _cross(normals, first)
-    turn = np.arange(IN_PLANE_TURNS) * (0.5 * np.pi / IN_PLANE_TURNS)
-    cos, sin = np.cos(turn)[:, None, None], np.sin(turn)[:, None, None]
+    turn = np.arange(2 * IN_PLANE_TURNS) * (0.5 * np.pi / IN_PLANE_TURNS)
+    sides = np.cos(turn)[:, None, None] * first + np.sin(turn)[:, None, None] * second
     centred = body.vertices - body.centroid
-    a, b, c = centred @ first.T, centred @ second.T, np.ptp(centred @ normals.T, axis=0)
-    volume = np.ptp(cos * a + sin * b, axis=1) * np.ptp(cos * b - sin * a, axis=1) * c
+    width = _widths(centred, sides.reshape(-1, 3)).reshape(2, IN_PLANE_TURNS, -1)
+    volume = width[0] * width[1] * _widths(centred, normals)
     k, face = np.unravel_index(int(volume.argmin()), volume.shape)
-    u = np.cos(turn[k]) * first[face] + np.sin(turn[k]) * second[face]
-    axes = np.stack([u, np.cross(normals[face], u), normals[face]])
+    u = sides[k, face]
+    axes = np.stack([u, sides[k + IN_PLANE_TURNS, face], normals[face]])
     along = centred @ axes.T
     low, high = along.min(0), along.max(0)
     order = np.argsort(low - high, kind="stable")
     centre = body.centroid + (0.5 * (low + high)) @ axes
     axes = axes[order]
-    axes[2] = np.cross(axes[0], axes[1])
+    axes[2] = _cross(axes[:1], axes[1:2])[0]
     return Box(centre, axes, (high - low)[order])
+
+
+def _widths(points: F64, directions: F64) -> F64:
+    """Extent (D,) of points (N, 3) along unit directions (D, 3)."""
+    along = directions @ points.T
+    return np.asarray(along.max(1) - along.min(1))
 
 
 def _face_normals(body: Body) -> F64:

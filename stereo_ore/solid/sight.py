@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from stereo_ore.planes import crop_rig, fit_planes
+from stereo_ore.planes import PlaneField, crop_rig, fit_planes
 from stereo_ore.transforms import frame_from_normal
-from stereo_ore.types import F64, I16, Mask, Plane, Rig, Surface
+from stereo_ore.types import F32, F64, I16, Mask, Plane, Rig, Surface
 
 I64 = npt.NDArray[np.int64]
 
@@ -88,17 +88,23 @@ class Sight:
 
 @dataclass(frozen=True)
 class _Crop:
-    """A lump's rectangle: labels, lump and measured pixels (h, w), smoothed points (h, w, 3), normals, geometry."""
+    """A lump's rectangle: labels, lump and measured pixels (h, w), points and planes fitted to them, geometry."""
 
     lump: Mask
     other: Mask
     seen: Mask
     known: Mask
-    xyz: F64
-    normal: F64
+    xyz: F32
+    planes: PlaneField
     size: float
     sigma_z: float
     rig: Rig
+
+    def points(self, at: I64) -> F64:
+        """Points (N, 3) at flat indices, those of the lump's own surface smoothed."""
+        xyz = self.xyz.reshape(-1, 3)[at].astype(np.float64)
+        smooth = 1.0 / (self.planes.inverse.ravel()[at] * xyz[:, 2])
+        return xyz * np.where(self.seen.ravel()[at], smooth, 1.0)[:, None]
 
 
 def look(
@@ -111,25 +117,24 @@ def look(
     edge = _edge(crop.lump) & crop.seen
     if crop.seen.sum() < min_points or edge.sum() < MIN_OUTLINE:
         return None
-    seen = crop.xyz[crop.seen]
-    axes, origin = _lump_frame(seen, plane)
-    local = ((crop.xyz - origin) @ axes.T).reshape(-1, 3)
-    ring, hidden = _ring(crop, edge, local)
-    own = np.nonzero(edge.ravel() & ~hidden)[0]
-    own = own if len(own) >= MIN_OUTLINE else np.nonzero(edge.ravel())[0]
+    view = crop.points(np.flatnonzero(crop.seen)).mean(0)
+    axes, origin = _lump_frame(view, plane)
+    ring, hidden = _ring(crop, edge, axes, origin)
+    own = np.flatnonzero(edge.ravel() & ~hidden)
+    own = own if len(own) >= MIN_OUTLINE else np.flatnonzero(edge)
+    outline = crop.points(own)
     v, u = np.nonzero(crop.lump)
-    middle = crop.rig.back_project(u.mean(), v.mean(), crop.xyz[..., 2].ravel()[own].mean())
-    sample = _thinned(crop.seen).ravel()
-    view = seen.mean(0)
+    middle = crop.rig.back_project(u.mean(), v.mean(), outline[:, 2].mean())
+    sample = _thinned(crop.seen)
     return Sight(
         axes=axes,
         origin=origin,
         size=crop.size,
         sigma_z=crop.sigma_z,
         view=axes @ (view / np.linalg.norm(view)),
-        points=local[sample],
-        normals=crop.normal.reshape(-1, 3)[sample] @ axes.T,
-        outline=local[own],
+        points=(crop.points(np.flatnonzero(sample)) - origin) @ axes.T,
+        normals=crop.planes.normal(sample) @ axes.T,
+        outline=(outline - origin) @ axes.T,
         silhouette=(middle - origin) @ axes.T,
         ring=ring,
     )
@@ -139,22 +144,22 @@ def _crop(surface: Surface, labels: I16, box: tuple[slice, ...], number: int, mi
     """Cut a lump out, with a margin and perhaps a stride, and smooth its surface by planes."""
     stride = max(1, round(float(np.sqrt((labels[box] == number).sum() / SURFACE_PIXELS))))
     rows, columns = (slice(max(s.start - MARGIN_PX * stride, 0), s.stop + MARGIN_PX * stride, stride) for s in box)
-    labels, xyz = labels[rows, columns], surface.xyz[rows, columns].astype(np.float64)
+    labels, xyz = labels[rows, columns], surface.xyz[rows, columns]
     rig = crop_rig(surface.rig, surface.x0 + columns.start, surface.y0 + rows.start, stride)
-    lump, known = labels == number, np.isfinite(xyz[..., 2])
+    depth = np.ascontiguousarray(xyz[..., 2])
+    lump, known = labels == number, np.isfinite(depth)
     seen = lump & known
     count = int(seen.sum())
     if count < min_points:
         return None
-    size = float(np.sqrt(lump.sum() / (rig.fx * rig.fy)) * np.median(xyz[seen, 2]))
+    pixels = float(lump.sum())
+    size = float(np.sqrt(pixels / (rig.fx * rig.fy)) * np.median(depth[seen]))
     sigma_z = float(np.median(surface.sigma_z[rows, columns][seen]))
-    field = fit_planes(xyz[..., 2], _trust(lump) * seen, _window(size / np.sqrt(lump.sum()), sigma_z, count), rig)
-    seen &= field.rms < MIXED_RMS * size
+    planes = fit_planes(depth, _trust(lump) * seen, _window(size / np.sqrt(pixels), sigma_z, count), rig)
+    seen &= planes.rms < MIXED_RMS * size
     if not seen.any():
         return None
-    scale = np.where(seen, field.depth / np.where(known, xyz[..., 2], 1.0), 1.0)
-    other = (labels > 0) & ~lump
-    return _Crop(lump, other, seen, known, xyz * scale[..., None], field.normal, size, sigma_z, rig)
+    return _Crop(lump, (labels > 0) & ~lump, seen, known, xyz, planes, size, sigma_z, rig)
 
 
 def _window(pixel_m: float, sigma_z: float, count: int) -> int:
@@ -166,21 +171,22 @@ def _window(pixel_m: float, sigma_z: float, count: int) -> int:
     return 2 * int(0.5 * min(max(steady, 5.0), max(LARGEST_WINDOW * np.sqrt(count), 5.0))) + 1
 
 
-def _trust(lump: Mask) -> F64:
+def _trust(lump: Mask) -> F32:
     """Weight of a pixel's depth: matchers err beside the outline, where the window sees two surfaces."""
     inside = cv2.distanceTransform(lump.astype(np.uint8), cv2.DIST_L2, 3)
-    return np.asarray(np.clip((inside / EDGE_PX) ** 2, 0.02, 1.0), np.float64)
+    return np.asarray(np.clip((inside / np.float32(EDGE_PX)) ** 2, 0.02, 1.0), np.float32)
 
 
-def _ring(crop: _Crop, edge: Mask, local: F64) -> tuple[Ring, Mask]:
+def _ring(crop: _Crop, edge: Mask, axes: F64, origin: F64) -> tuple[Ring, Mask]:
     """The ring around a lump, and which pixels (h·w,) of its edge something nearer hides."""
-    outside, inside, count = _across(crop.lump, edge, crop.known)
-    depth = crop.xyz[..., 2].ravel()
-    step = depth[outside] - depth[inside]
+    at_outside, at_inside, count = _across(crop.lump, edge, crop.known)
+    outside, inside = crop.points(at_outside), crop.points(at_inside)
+    step = outside[:, 2] - inside[:, 2]
     hidden = np.zeros(crop.lump.size, bool)
-    hidden[inside[step < -STEP * crop.size]] = True
-    gap = np.linalg.norm(local[outside] - local[inside], axis=1)
-    return Ring(local[outside, 2], local[inside, 2], step, gap, crop.other.ravel()[outside], count), hidden
+    hidden[at_inside[step < -STEP * crop.size]] = True
+    gap = np.sqrt(((outside - inside) ** 2).sum(1))
+    other = crop.other.ravel()[at_outside]
+    return Ring((outside - origin) @ axes[2], (inside - origin) @ axes[2], step, gap, other, count), hidden
 
 
 def _thinned(seen: Mask) -> Mask:
@@ -191,9 +197,8 @@ def _thinned(seen: Mask) -> Mask:
     return sample
 
 
-def _lump_frame(points: F64, plane: Plane) -> tuple[F64, F64]:
-    """Axes as rows and origin: the middle of the points (N, 3) brought down to the plane."""
-    middle = points.mean(0)
+def _lump_frame(middle: F64, plane: Plane) -> tuple[F64, F64]:
+    """Axes as rows and origin: the middle (3,) of the points brought down to the plane."""
     origin = middle - plane.height(middle) * plane.normal
     ray = middle / np.linalg.norm(middle)
     steep = np.linalg.norm(np.cross(ray, plane.normal)) < 1e-3
