@@ -8,19 +8,24 @@ import os
 import threading
 from collections import deque
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
-from dataclasses import dataclass
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from multiprocessing import get_context, parent_process
 from pathlib import Path
 
 from stereo_ore.errors import FrameError
+from stereo_ore.health.history import fingerprints
 from stereo_ore.pipeline import Context, fused_indices, process_frame
 from stereo_ore.record import record, to_line
 from stereo_ore.sinks.frame_files import FrameFiles
 from stereo_ore.sinks.run_folder import FrameLines
 from stereo_ore.sources import Source
+from stereo_ore.sources.ahead import ReadAhead
 from stereo_ore.types import FrameResult, Site
+
+WRITES_AHEAD = 2
+"""Frames whose files may wait to be written: a bound on memory, for a frame's arrays wait with them."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +38,11 @@ class Job:
     strict: bool = False
 
     def __call__(self, index: int) -> FrameLines:
-        """Process frame `index` and write its files.
+        """Process frame `index` and write its files; errors as those of `process` and `finish`."""
+        return self.finish(self.process(index))
+
+    def process(self, index: int) -> FrameResult:
+        """Process frame `index`.
 
         Raises
         ------
@@ -44,7 +53,11 @@ class Job:
         if self.strict and result.status == "failed":
             reason = result.reasons[-1]
             raise FrameError(f"frame {result.name} failed: {reason.detail}", code=reason.code)
-        indices = fused_indices(self.source, index, self.context)
+        return result
+
+    def finish(self, result: FrameResult) -> FrameLines:
+        """Write the files of a frame and word its lines."""
+        indices = fused_indices(self.source, result.index, self.context)
         lines = frame_lines(result, self.context.site, [file for i in indices for file in self.source.files(i)])
         self.files.write(result)
         return lines
@@ -54,14 +67,15 @@ def frame_lines(result: FrameResult, site: Site, inputs: Sequence[Path]) -> Fram
     """Record, timing and inputs of a frame that was read from the files `inputs`."""
     stages = {name: round(ms, 3) for name, ms in result.stages_ms.items()}
     timing = {"frame": result.name, "stages_ms": stages, "total_ms": round(sum(stages.values()), 3)}
-    hashes = {"frame": result.name, "files": {str(path): sha256(path) for path in inputs}}
+    files = {str(path): sha256(path) for path in inputs}
+    hashes = {"frame": result.name, "files": files, "images": fingerprints(result)}
     return FrameLines(to_line(record(result, site)), json.dumps(timing), json.dumps(hashes))
 
 
 def run(job: Job, indices: Sequence[int], workers: int = 1) -> Iterator[FrameLines]:
     """Lines of each frame, in order of `indices`; the same for any number of workers."""
     if workers == 1 or len(indices) < 2:
-        yield from map(job, indices)
+        yield from _overlapped(job, indices)
         return
     # Spawned, not forked: OpenCV's and BLAS's threads do not survive a fork.
     with ProcessPoolExecutor(workers, get_context("spawn"), _start_worker, (job,)) as pool:
@@ -76,6 +90,24 @@ def run(job: Job, indices: Sequence[int], workers: int = 1) -> Iterator[FrameLin
                 yield pending.popleft().result()
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _overlapped(job: Job, indices: Sequence[int]) -> Iterator[FrameLines]:
+    """Frames one after the other; meanwhile one thread reads those to come and one writes those that are done."""
+    order = (i for index in indices for i in fused_indices(job.source, index, job.context))
+    with ReadAhead(job.source, order) as source, ThreadPoolExecutor(1, "write") as writer:
+        ahead = replace(job, source=source)
+        written: deque[Future[FrameLines]] = deque()
+        for index in indices:
+            try:
+                result = ahead.process(index)
+            except FrameError:
+                yield from (future.result() for future in written)
+                raise
+            written.append(writer.submit(job.finish, result))
+            if len(written) > WRITES_AHEAD:
+                yield written.popleft().result()
+        yield from (future.result() for future in written)
 
 
 _job: Job | None = None
@@ -106,7 +138,7 @@ def _work(index: int) -> FrameLines:
 def sha256(path: Path) -> str | None:
     """SHA-256 of a file; None when it can't be read. A video or bag that holds many frames is read once."""
     try:
-        return _sha256(path, path.stat().st_mtime_ns)
+        return _sha256(path, path.stat().st_mtime_ns) if path.is_file() else None  # a pipe has no end
     except OSError:
         return None
 

@@ -1,0 +1,162 @@
+"""Frames one after the other: read ahead, written behind, in order, with every error at its frame."""
+
+import json
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from stereo_ore import batch
+from stereo_ore.errors import FrameError, OutputError
+from stereo_ore.pipeline import COUNTS
+from stereo_ore.sinks.frame_files import npz
+from stereo_ore.sources import ahead
+from stereo_ore.sources.ahead import ReadAhead
+from stereo_ore.types import FrameResult, Reason, StereoPair
+
+IMAGE = np.zeros((2, 2, 3), np.uint8)
+
+
+@dataclass
+class Fake:
+    """A recording that takes its time, fails at some frames, and knows what was read, and by whom."""
+
+    count: int = 12
+    broken: tuple[int, ...] = ()
+    seconds: float = 0.0
+    calls: list[tuple[int, str]] = field(default_factory=list)
+    path: Path = Path("fake")
+    calibration: None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(f"{index:06d}" for index in range(self.count))
+
+    @property
+    def description(self) -> Mapping[str, Any]:
+        return {}
+
+    def files(self, index: int) -> tuple[Path, ...]:
+        return ()
+
+    def read(self, index: int) -> StereoPair:
+        self.calls.append((index, threading.current_thread().name))
+        time.sleep(self.seconds)
+        if index in self.broken:
+            raise FrameError("is broken", code="BROKEN", file=f"{index}")
+        return StereoPair(self.names[index], index, IMAGE, IMAGE)
+
+
+class FakeFiles:
+    """Takes its time to write, and fails at some frames."""
+
+    def __init__(self, seconds: float = 0.0, broken: tuple[int, ...] = ()) -> None:
+        self.seconds, self.broken, self.done = seconds, broken, []
+
+    def write(self, result: FrameResult) -> None:
+        time.sleep(self.seconds)
+        if result.index in self.broken:
+            raise OutputError("disk full", file=result.name)
+        self.done.append(result.index)
+
+
+@dataclass(frozen=True)
+class Context:
+    site: Any = None
+
+
+@pytest.fixture
+def job(monkeypatch: pytest.MonkeyPatch) -> batch.Job:
+    """A job whose frames are read and written, and take 20 ms between."""
+
+    def process(source: Any, index: int, context: Any) -> FrameResult:
+        counts = dict.fromkeys(COUNTS, 0)
+        try:
+            pair = source.read(index)
+        except FrameError as error:
+            return FrameResult(source.names[index], index, None, "failed", (Reason(error.code, str(error)),), counts)
+        time.sleep(0.02)
+        return FrameResult(pair.name, index, None, "ok", (), counts)
+
+    monkeypatch.setattr(batch, "process_frame", process)
+    monkeypatch.setattr(batch, "fused_indices", lambda source, index, context: range(index, index + 1))
+    monkeypatch.setattr(
+        batch, "frame_lines", lambda result, site, inputs: batch.FrameLines(json.dumps(result.index), "", "")
+    )
+    return batch.Job(Fake(), Context(), FakeFiles())  # type: ignore[arg-type]
+
+
+def indices(lines: Iterator[batch.FrameLines]) -> list[int]:
+    return [json.loads(entry.record) for entry in lines]
+
+
+def test_lines_come_in_order_and_after_their_files(job: batch.Job) -> None:
+    for entry in batch.run(job, range(0, 12, 3)):
+        assert json.loads(entry.record) in job.files.done
+    assert job.files.done == [0, 3, 6, 9]
+    assert [index for index, _ in job.source.calls] == [0, 3, 6, 9]
+    assert {thread.split("_")[0] for _, thread in job.source.calls} == {"read ahead"}
+
+
+def test_reading_and_writing_cost_no_time_of_their_own(job: batch.Job) -> None:
+    slow = replace(job, source=Fake(seconds=0.02), files=FakeFiles(seconds=0.02))
+    start = time.perf_counter()
+    [slow(index) for index in range(12)]
+    one_by_one = time.perf_counter() - start
+    start = time.perf_counter()
+    assert indices(batch.run(slow, range(12))) == list(range(12))
+    assert time.perf_counter() - start < 0.7 * one_by_one
+
+
+def test_what_waits_is_bounded(job: batch.Job) -> None:
+    slow = replace(job, files=FakeFiles(seconds=0.05))
+    lines = batch.run(slow, range(12))
+    next(lines)
+    assert len(slow.source.calls) <= batch.WRITES_AHEAD + 1 + ahead.FRAMES_AHEAD
+    lines.close()
+    assert len(slow.files.done) <= batch.WRITES_AHEAD + 1, "frames in work are finished, no more are begun"
+
+
+def test_a_frame_that_cannot_be_read_fails_alone(job: batch.Job) -> None:
+    assert indices(batch.run(replace(job, source=Fake(broken=(1, 4))), range(6))) == [0, 1, 2, 3, 4, 5]
+
+
+def test_a_strict_job_gives_the_frames_before(job: batch.Job) -> None:
+    found = []
+    with pytest.raises(FrameError, match="frame 000004 failed: 4: is broken"):
+        found.extend(
+            json.loads(entry.record)
+            for entry in batch.run(replace(job, source=Fake(broken=(4,)), strict=True), range(8))
+        )
+    assert found == [0, 1, 2, 3]
+
+
+def test_a_full_disk_ends_the_run_at_its_frame(job: batch.Job) -> None:
+    full, found = replace(job, files=FakeFiles(broken=(3,))), []
+    with pytest.raises(OutputError, match="000003: disk full"):
+        found.extend(json.loads(entry.record) for entry in batch.run(full, range(8)))
+    assert found == [0, 1, 2]
+
+
+def test_frames_out_of_the_announced_order_are_read_too() -> None:
+    source = Fake()
+    with ReadAhead(source, [0, 1, 2]) as recording:
+        assert [recording.read(index).index for index in (5, 0, 1, 7, 2, 2)] == [5, 0, 1, 7, 2, 2]
+        assert (recording.names, recording.path, recording.files(0)) == (source.names, source.path, ())
+        assert (recording.calibration, recording.description) == (None, {})
+
+
+def test_stage_arrays_come_back(tmp_path: Path) -> None:
+    arrays = {"a": np.arange(6, dtype=np.float32).reshape(2, 3), "b": np.zeros(0, bool)}
+    (tmp_path / "a.npz").write_bytes(npz(arrays))
+    with np.load(tmp_path / "a.npz", allow_pickle=False) as found:
+        assert set(found.files) == {"a", "b"}
+        for name, array in arrays.items():
+            np.testing.assert_array_equal(found[name], array)
+            assert found[name].dtype == array.dtype
+    assert npz(arrays) == npz(arrays)
