@@ -58,7 +58,7 @@ def results(synth_scene: synth.Scene, tmp_path: Path) -> Callable[..., Path]:
         folder = tmp_path / name
         (folder / "stages").mkdir(parents=True)
         (folder / "frames.jsonl").write_text(json.dumps(record) + "\n")
-        (folder / "timings.jsonl").write_text(json.dumps({"frame": "it", "total_ms": 12.5}) + "\n")
+        (folder / "timings.jsonl").write_text(json.dumps({"frame": "it", "stages_ms": {}, "total_ms": 12.5}) + "\n")
         np.savez(folder / "stages" / "it.npz", **stages)
         return folder
 

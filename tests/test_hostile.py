@@ -1,11 +1,15 @@
 """Hostile input planted in the real command: each ends as one line that names file and remedy, never as a traceback."""
 
 import json
+import os
+import re
 import resource
 import shutil
 import struct
 import subprocess
 import sys
+import threading
+import zipfile
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +23,8 @@ from test_report import Page
 
 from stereo_ore.cli import launch
 from stereo_ore.results import Results
+from stereo_ore.serve.frames import Position
+from stereo_ore.serve.watch import FolderWatch
 
 MEGABYTE = 2**20
 GOOD = "000000"
@@ -358,8 +364,6 @@ def test_a_cloud_in_fortran_s_order_is_read_row_by_row(tmp_path: Path, command: 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of addresses are Linux")
 def test_an_archive_that_unpacks_to_gigabytes_is_refused_before(tmp_path: Path) -> None:
-    import zipfile
-
     file = tmp_path / "bomb.npz"
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("xyz.npy", npy_head("(400000000, 3)") + bytes(50 * MEGABYTE))
@@ -415,8 +419,6 @@ def test_a_video_that_claims_more_pictures_than_it_can_hold(tmp_path: Path, scen
 @pytest.mark.parametrize("name", ["native", "zed", "opencv", "ros", "kalibr", "middlebury"])
 @pytest.mark.parametrize("damage", ["half", "no numbers", "huge numbers", "zeros", "NaN"])
 def test_damaged_calibrations(name: str, damage: str, recording: Path, tmp_path: Path, command: Any) -> None:
-    import re
-
     folder = FUZZED / name
     shutil.copy(folder.parents[1] / "right.yaml", tmp_path / "right.yaml")
     number = re.compile(r"(?<=[\s\[,=>;])-?\d+\.\d[\d.e+-]*")
@@ -588,3 +590,28 @@ def test_a_report_of_what_is_there(file: str, content: bytes, tmp_path: Path, co
     assert done.code in (0, 1), done
     if done.code:
         refused(done, str(run))
+
+
+# --- what is no file
+
+
+@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="POSIX only")
+def test_pipes_and_endless_files_under_the_names_of_images(scene: Path, recording: Path, command: Any) -> None:
+    os.mkfifo(recording / "left000001.png")
+    (recording / "left000002.png").symlink_to("/dev/zero")
+    for index in (1, 2):
+        shutil.copy(scene / "right.png", recording / f"right{index:06d}.png")
+    assert command(*run_arguments(scene, recording, recording / "out")).code == 0
+    found = records(recording / "out")
+    assert [found[f"{n:06d}"]["reasons"][-1]["code"] for n in (1, 2)] == ["UNREADABLE_IMAGE"] * 2
+    (recording / "endless.xyz").symlink_to("/dev/zero")
+    refused(command("filter", recording / "endless.xyz", recording / "out.ply"), "is no file")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="POSIX only")
+def test_pipes_in_a_watched_folder_hold_nobody_up(scene: Path, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "left000000.png")
+    for index, eye in ((0, "right"), (1, "left"), (1, "right")):
+        shutil.copy(scene / f"{eye}.png", tmp_path / f"{eye}{index:06d}.png")
+    frames = FolderWatch(tmp_path, poll_s=0.02, patience_s=0.2).frames(Position(), threading.Event())
+    assert [next(frames).name for _ in range(2)] == ["000000", "000001"]

@@ -43,6 +43,8 @@ def read(path: Path) -> Records:
     """
     reader, _ = FORMATS[format_of(path)]
     try:
+        if path.exists() and not path.is_file():
+            raise CloudError("is no file", file=path, remedy="Name a file of points")
         return reader(path)
     except FileNotFoundError:
         raise CloudError("no such file", file=path, remedy="Check the path") from None

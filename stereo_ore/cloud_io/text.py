@@ -12,6 +12,7 @@ import numpy as np
 from stereo_ore.cloud_io.records import COLUMNS, Records, from_array, from_columns, require_xyz
 from stereo_ore.errors import CloudError
 
+LONGEST_LINE = 100_000
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*([eE][+-]?\d+)?|\.\d+([eE][+-]?\d+)?|nan|inf(inity)?)", re.IGNORECASE)
 
 
@@ -19,6 +20,8 @@ def read(path: Path) -> Records:
     """Rows of numbers; the first three columns are x, y, z unless a line of names says otherwise."""
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         first = next((line for line in file if line.strip() and not line.startswith(("#", "//"))), "")
+    if len(first) > LONGEST_LINE:
+        raise CloudError(f"the first line has {len(first):,} characters", file=path, remedy="Is it a table of points?")
     separator = next((s for s in (",", ";") if s in first), None)
     words = [word.strip().strip('"') for word in first.split(separator)]
     named = bool(first) and not all(NUMBER.fullmatch(word) for word in words)

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import numpy.typing as npt
 
 from stereo_ore.errors import SourceError
+from stereo_ore.npz_io import load_arrays
+from stereo_ore.results import Results
 
 
 @dataclass(frozen=True)
@@ -28,20 +29,14 @@ class Pair:
     def stages(self) -> dict[str, npt.NDArray[Any]]:
         """The frame's arrays, written by ``run --save-stages``."""
         path = self.run / "stages" / f"{self.frame}.npz"
-        try:
-            with np.load(path) as arrays:
-                return dict(arrays)
-        except OSError:
-            raise SourceError("no such file", file=path, remedy="Run with --save-stages") from None
+        if not path.is_file():
+            raise SourceError("no such file", file=path, remedy="Run with --save-stages")
+        return load_arrays(path, SourceError)
 
     def total_ms(self) -> float | None:
         """Time the frame took, where timings were written."""
-        path = self.run / "timings.jsonl"
-        if not path.is_file():
-            return None
-        times = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-        found = [time["total_ms"] for time in times if time["frame"] == self.frame]
-        return float(np.median(found)) if found else None
+        timing = Results(self.run).timings.get(self.frame)
+        return float(timing["total_ms"]) if timing else None
 
 
 def find_pairs(results: Path, truth: Path) -> list[Pair]:
@@ -83,7 +78,7 @@ def _frame(run: Path, scene: Path, alone: bool) -> str:
 def _records(run: Path) -> dict[str, dict[str, Any]]:
     path = run / "frames.jsonl"
     try:
-        records = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+        records = [json.loads(line) for line in path.read_bytes().splitlines()]
         return {record["frame"]: record for record in records}
-    except (OSError, ValueError, KeyError) as fault:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as fault:
         raise SourceError(f"can't be read: {fault!r}", file=path) from None

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from stereo_ore.errors import SourceError
+from stereo_ore.npz_io import load_arrays
 from stereo_ore.types import F64, I32
 
 MIN_PIXELS, MIN_VISIBLE = 400, 0.3
@@ -66,9 +67,8 @@ def load_truth(scene: Path) -> Truth:
     try:
         calib = json.loads((scene / "calib.json").read_text(encoding="utf-8"))
         truth = json.loads((scene / "gt.json").read_text(encoding="utf-8"))
-        with np.load(scene / "gt.npz") as arrays:
-            return _truth(scene.name, calib, truth, dict(arrays))
-    except (OSError, ValueError) as fault:
+        return _truth(scene.name, calib, truth, load_arrays(scene / "gt.npz", SourceError))
+    except (OSError, ValueError, TypeError, IndexError, AttributeError, RecursionError) as fault:
         raise SourceError(f"truth can't be read: {fault}", file=scene) from None
     except KeyError as fault:
         remedy = "A scene folder holds calib.json, gt.json and gt.npz as `stereo-ore synth` writes them"

@@ -8,6 +8,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from stereo_ore.errors import FrameError
+from stereo_ore.sources.images import read_image
 from stereo_ore.types import U8
 
 OVERLAY_WIDTH, OVERLAY_QUALITY = 1280, 80
@@ -26,8 +28,9 @@ def thumbnail(path: Path) -> str | None:
 
 def _jpeg(path: Path, width: int, quality: int) -> str | None:
     """None for a file that is damaged: the page then lacks a picture, and the records still count."""
-    image = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_COLOR)
-    if image is None:
+    try:
+        image = read_image(path)
+    except FrameError:
         return None
     data = cv2.imencode(".jpg", _shrink(np.asarray(image, np.uint8), width), [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
     return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()

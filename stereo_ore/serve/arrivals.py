@@ -66,7 +66,8 @@ def _images(folder: Path, done: Container[str]) -> Iterator[Path]:
 
 
 def _is_new(entry: os.DirEntry[str], done: Container[str]) -> bool:
-    return entry.path not in done and entry.name.lower().endswith(IMAGE_SUFFIXES) and not entry.name.startswith(".")
+    named = entry.name.lower().endswith(IMAGE_SUFFIXES) and not entry.name.startswith(".")
+    return named and entry.path not in done and entry.is_file()
 
 
 def _side_and_key(file: Path, folder: Path) -> tuple[str | None, str]:
