@@ -218,6 +218,9 @@ PICTURES: dict[str, tuple[Callable[[], bytes], str]] = {
     "jpeg without a frame": (lambda: b"\xff\xd8\xff\xe0\0\x10JFIF\0" + bytes(20) + b"\xff\xd9", "UNREADABLE_IMAGE"),
     "tiff that claims 4 terapixels": (lambda: tiff(2_000_000, 2_000_000), "IMAGE_TOO_LARGE"),
     "big tiff that claims 2^100 pixels": (lambda: tiff(2**50, 2**50, big=True), "IMAGE_TOO_LARGE"),
+    "tiff whose directory lies beyond 64 bit": (
+        lambda: (FUZZED / "image" / "tiff_directory_beyond_64_bit").read_bytes(), "UNREADABLE_IMAGE",
+    ),
     "tiff that holds nothing": (lambda: tiff(320, 180), "UNREADABLE_IMAGE"),
     "tiff whose directory lies elsewhere": (lambda: b"II*\0\xff\xff\xff\xff", "UNREADABLE_IMAGE"),
     "bmp that claims 2^62 pixels": (lambda: claims_bmp(SMALL), "IMAGE_TOO_LARGE"),

@@ -20,7 +20,7 @@ def claimed_size(data: bytes) -> tuple[int, int] | None:
         if data.startswith(magic):
             try:
                 return read(data)
-            except struct.error:
+            except (struct.error, OverflowError):
                 return None
     return None
 
