@@ -6,7 +6,7 @@ import importlib
 
 import typer
 
-SUBVERBS = ("filter", "speed", "stereo")
+SUBVERBS = ("faults", "filter", "speed", "stereo")
 """Modules of this package; each has ``register(app)``."""
 
 
