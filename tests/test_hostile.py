@@ -3,7 +3,6 @@
 import json
 import os
 import re
-import resource
 import shutil
 import struct
 import subprocess
@@ -273,6 +272,8 @@ def test_the_limit_on_pixels_is_a_parameter(scene: Path, recording: Path, tmp_pa
 
 
 def limit_memory() -> None:
+    import resource
+
     resource.setrlimit(resource.RLIMIT_AS, (4_000 * MEGABYTE, 4_000 * MEGABYTE))
 
 
