@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 
 from stereo_ore.config import CloudConfig
-from stereo_ore.types import Disparity, Mask, PointCloud, RectifiedPair, Region, Surface, Volume
+from stereo_ore.types import F32, I32, Disparity, Mask, PointCloud, RectifiedPair, Region, Surface, Volume
 
 
 def reproject(
     disparity: Disparity, pair: RectifiedPair, volume: Volume | None, config: CloudConfig, sigma_px: float
 ) -> PointCloud:
-    """The points of all pixels with a disparity, z = fx·B / (d + doffs), cropped to the volume.
+    """The points of all pixels of the matched rectangle, z = fx·B / (d + doffs), cropped to the volume.
 
     Parameters
     ----------
@@ -31,41 +32,63 @@ def reproject(
     PointCloud
         In ascending pixel order.
     """
-    rig = pair.rig
-    values = disparity.values.ravel()
-    least = float(rig.disparity(config.max_depth_m))
+    rig, region = pair.rig, disparity.region
+    values = disparity.values[region.slices]
     # NaN compares false, so this also leaves out the pixels without a disparity.
-    pixel = np.flatnonzero(values >= least).astype(np.int32)
-    v, u = np.divmod(pixel, np.int32(rig.width))
-    z = np.float32(rig.fx * rig.baseline_m) / (values[pixel] + np.float32(rig.doffs_px))
-    x = (u - np.float32(rig.cx)) * z / np.float32(rig.fx)
-    y = (v - np.float32(rig.cy)) * z / np.float32(rig.fy)
-    xyz = np.stack([x, y, z], -1, dtype=np.float32)
+    inside = values >= np.float32(rig.disparity(config.max_depth_m))
+    with np.errstate(divide="ignore"):
+        depth = np.float32(rig.fx * rig.baseline_m) / (values + np.float32(rig.doffs_px))
+    x = np.arange(region.x0, region.x1, dtype=np.float32) - np.float32(rig.cx)
+    y = np.arange(region.y0, region.y1, dtype=np.float32) - np.float32(rig.cy)
     if volume is not None:
-        inside = volume.contains(xyz)
-        xyz, pixel, z = xyz[inside], pixel[inside], z[inside]
+        inside &= _contained(depth, x / rig.fx, y / rig.fy, volume)
+    index = np.flatnonzero(inside).astype(np.int32)
+    row, column = _rows_columns(index, values.shape[1])
+    z = depth.ravel()[index]
+    pixel: I32 = (row + np.int32(region.y0)) * np.int32(rig.width) + (column + np.int32(region.x0))
     return PointCloud(
-        xyz,
+        np.stack([x[column] * z / np.float32(rig.fx), y[row] * z / np.float32(rig.fy), z], -1),
         pixel,
-        pair.left.reshape(-1, 3)[pixel],
-        rig.depth_sigma(z, sigma_px).astype(np.float32),
+        np.take(pair.left.reshape(-1, 3), pixel, axis=0),
+        z**2 * np.float32(rig.depth_sigma(1.0, sigma_px)),
         (rig.height, rig.width),
     )
 
 
+def _contained(depth: F32, x: F32, y: F32, volume: Volume) -> Mask:
+    """Which pixels (h, w), at their depths [m] on rays of slopes x (w,) and y (h,), the volume contains.
+
+    A coordinate in the volume's frame is the depth times a sum of one term of the column and one of the row.
+    """
+    inside = np.ones(depth.shape, np.bool_)
+    for row, low, high in zip(volume.T_box_camera, volume.min_m, volume.max_m, strict=False):
+        across, down = (row[0] * x).astype(np.float32), (row[1] * y + row[2]).astype(np.float32)
+        coordinate = across[None, :] + down[:, None]
+        coordinate *= depth
+        inside &= cv2.inRange(coordinate, float(low - row[3]), float(high - row[3])) > 0
+    return inside
+
+
+def _rows_columns(index: I32, width: int) -> tuple[I32, I32]:
+    """Row and column of flat indices; `np.divmod` is several times slower."""
+    row = np.asarray(index // np.int32(width), np.int32)
+    return row, index - row * np.int32(width)
+
+
 def surface(cloud: PointCloud, keep_points: Mask, pair: RectifiedPair, region: Region) -> Surface:
-    """The kept points laid back into the image, cropped to the matched rectangle."""
-    size = cloud.image_shape[0] * cloud.image_shape[1]
-    xyz = np.full((size, 3), np.nan, np.float32)
-    sigma = np.full(size, np.nan, np.float32)
-    pixel = cloud.pixel[keep_points]
-    xyz[pixel] = cloud.xyz[keep_points]
-    sigma[pixel] = cloud.sigma_z[keep_points]
-    part = region.slices
+    """The kept points laid back into the image, cropped to the matched rectangle that the cloud was made from."""
+    height, width = region.y1 - region.y0, region.x1 - region.x0
+    kept = np.flatnonzero(keep_points)
+    row, column = _rows_columns(cloud.pixel[kept], cloud.image_shape[1])
+    # Point of each pixel; the one after the last stands for none.
+    point = np.full(height * width, len(cloud), np.int32)
+    point[(row - np.int32(region.y0)) * np.int32(width) + (column - np.int32(region.x0))] = kept
+    xyz = np.append(cloud.xyz, np.full((1, 3), np.nan, np.float32), axis=0)
+    sigma = np.append(cloud.sigma_z, np.float32(np.nan))
     return Surface(
-        xyz.reshape(*cloud.image_shape, 3)[part].copy(),
-        pair.left[part].copy(),
-        sigma.reshape(cloud.image_shape)[part].copy(),
+        np.take(xyz, point, axis=0).reshape(height, width, 3),
+        pair.left[region.slices].copy(),
+        np.take(sigma, point).reshape(height, width),
         region.x0,
         region.y0,
         pair.rig,

@@ -57,12 +57,13 @@ def voxelise(cloud: PointCloud, disparity: Disparity, rig: Rig, size_m: float) -
     CloudError
         When the grid would have more cells than a key can number.
     """
-    inverse, count = _group(_keys(cloud.xyz, size_m))
+    along = np.ascontiguousarray(cloud.xyz.T)
+    inverse, count = _group(_keys(along, size_m))
 
     def mean(values: npt.NDArray[np.floating]) -> F32:
         return (np.bincount(inverse, values, len(count)) / count).astype(np.float32)
 
-    xyz = np.stack([mean(cloud.xyz[:, axis]) for axis in range(3)], -1)
+    xyz = np.stack([mean(axis) for axis in along], -1)
     return VoxelCloud(
         xyz,
         count,
@@ -70,17 +71,21 @@ def voxelise(cloud: PointCloud, disparity: Disparity, rig: Rig, size_m: float) -
         size_m,
         mean(cloud.sigma_z),
         (xyz[:, 2] / rig.fx).astype(np.float32),
-        {name: mean(cue.ravel()[cloud.pixel]) for name, cue in disparity.cues.items()},
+        {name: mean(np.take(cue, cloud.pixel)) for name, cue in disparity.cues.items()},
     )
 
 
-def _keys(xyz: F32, size_m: float) -> Int64:
-    """One number a cell, ascending in x, then y, then z; counted from the cloud's corner, which moves no cell."""
-    keys = np.zeros(len(xyz), np.int64)
-    bits = np.log2(max(len(xyz), 1))
-    for axis in range(3 if len(xyz) else 0):
-        cell = np.floor(xyz[:, axis] / np.float64(size_m))
-        extent = cell.max() - cell.min() + 1
+def _keys(along: F32, size_m: float) -> Int64:
+    """One number a cell of points (3, N), ascending in x, then y, then z.
+
+    Cells are counted from the cloud's corner, which moves none.
+    """
+    keys = np.zeros(along.shape[1], np.int64)
+    bits = np.log2(max(len(keys), 1))
+    for axis in along if len(keys) else ():
+        cell = np.floor(axis / np.float64(size_m))
+        low = cell.min()
+        extent = cell.max() - low + 1
         bits += np.log2(extent)
         if not bits < MAX_BITS:
             raise CloudError(
@@ -89,7 +94,7 @@ def _keys(xyz: F32, size_m: float) -> Int64:
                 remedy="Use larger voxels, or a smaller working volume",
             )
         keys *= int(extent)
-        keys += (cell - cell.min()).astype(np.int64)
+        keys += (cell - low).astype(np.int64)
     return keys
 
 

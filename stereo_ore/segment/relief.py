@@ -91,17 +91,21 @@ def fill_occlusions(px: F32) -> F32:
     A row's gap is filled when it is no wider than the step in disparity to its right can have hidden from the right
     eye.
     """
-    width, columns = px.shape[1], np.arange(px.shape[1], dtype=np.int32)
+    width = px.shape[1]
     valid = np.isfinite(px)
-    left = np.maximum.accumulate(np.where(valid, columns, -1), axis=1)
-    right = np.minimum.accumulate(np.where(valid, columns, width)[:, ::-1], axis=1)[:, ::-1]
-    row, column = np.nonzero(~valid & (left >= 0) & (right < width))
-    before, after = left[row, column], right[row, column]
-    near, far = px[row, after], px[row, before]
-    hidden = OCCLUSION_SLACK * np.maximum(near - far, 0) + OCCLUSION_EXTRA
-    fits = after - before - 1 <= hidden
+    # A gap lies between a measured pixel and the next one in its row that are no neighbours.
+    measured = np.flatnonzero(valid)
+    gap = np.flatnonzero(np.diff(measured) > 1)
+    before, after = measured[gap], measured[gap + 1]
+    same_row = before // width == after // width
+    before, after = before[same_row], after[same_row]
+    far, near = px.ravel()[before], px.ravel()[after]
+    length = after - before - 1
+    fits = length <= OCCLUSION_SLACK * np.maximum(near - far, 0) + OCCLUSION_EXTRA
+    first, length = before[fits] + 1, length[fits]
+    inside = np.arange(length.sum()) - np.repeat(np.cumsum(length) - length, length)
     out = px.copy()
-    out[row[fits], column[fits]] = np.minimum(near, far)[fits]
+    out.ravel()[np.repeat(first, length) + inside] = np.repeat(np.minimum(near, far)[fits], length)
     return out
 
 
