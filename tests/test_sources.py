@@ -246,6 +246,15 @@ def test_what_others_write_to_stderr_is_passed_on_and_is_no_damage(capfd: pytest
     assert capfd.readouterr().err == "error of another thread: premature\n"
 
 
+def test_a_jpeg_of_an_unknown_revision_is_read_in_silence(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    path = save(tmp_path / "image.jpg", picture(0, "left"))
+    data = path.read_bytes()
+    assert data[6:12] == b"JFIF\0\1"
+    path.write_bytes(data[:11] + b"\xfc" + data[12:])
+    assert read_image(path).shape == (HEIGHT, WIDTH, 3)
+    assert capfd.readouterr().err == ""
+
+
 def test_a_service_without_standard_error(tmp_path: Path) -> None:
     path = save(tmp_path / "image.png", picture(0, "left"))
     code = (

@@ -12,7 +12,10 @@ from typing import TypeVar
 
 Value = TypeVar("Value")
 
-_DECODER = re.compile(rb"libpng|JPEG|TIFF|OpenCV|grfmt_|loadsave|bitstrm|cap_\w+\.cpp|@ 0x[0-9a-f]+\]|packet of size")
+_DECODER = re.compile(
+    rb"libpng|JPEG|JFIF|Adobe color|Inconsistent progression|TIFF|OpenCV|grfmt_|loadsave|bitstrm|cap_\w+\.cpp"
+    rb"|@ 0x[0-9a-f]+\]|packet of size"
+)
 _lock = threading.Lock()
 
 
