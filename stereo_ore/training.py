@@ -10,7 +10,8 @@ import numpy.typing as npt
 from stereo_ore import filters
 from stereo_ore.bench.labelled import DIRECTIONS, LabelledCloud, bare_cloud, made_stereo, paper_clouds
 from stereo_ore.config.filters import AdaptiveParams
-from stereo_ore.filters.evidence import Evidence, features, gather
+from stereo_ore.filters.adaptive import judge, look
+from stereo_ore.filters.evidence import Evidence
 from stereo_ore.filters.scorer import Network, Scorer
 from stereo_ore.synth import paper_cloud
 from stereo_ore.types import F32, Mask
@@ -75,23 +76,22 @@ def train(clouds: Sequence[LabelledCloud], kind: str, seed: int = 0) -> Scorer:
         Of the sample and of the networks' start.
     """
     rng = np.random.default_rng(seed)
-    evidence, labels = zip(*(_prepare(labelled) for labelled in clouds), strict=True)
+    evidence, labels = zip(*(_prepared(labelled) for labelled in clouds), strict=True)
     chosen = [rng.permutation(len(label))[: SAMPLE[kind]] for label in labels]
-    truth = np.concatenate([label[rows] for label, rows in zip(labels, chosen, strict=True)])
     noise = [e.prior for e in evidence]
     networks: list[Network] = []
     for number in range(PASSES[kind]):
-        light = kind == "stereo" and number == 0
-        seen = [e.features if light else features(e, p) for e, p in zip(evidence, noise, strict=True)]
-        examples = np.concatenate([f[rows] for f, rows in zip(seen, chosen, strict=True)])
-        networks.append(_fit(examples, truth, kind, seed))
-        noise = [networks[-1].probability(f) for f in seen]
+        rows = [np.intersect1d(e.undecided(p), r) for e, p, r in zip(evidence, noise, chosen, strict=True)]
+        seen = [e.features(p, r, number) for e, p, r in zip(evidence, noise, rows, strict=True)]
+        truth = np.concatenate([label[r] for label, r in zip(labels, rows, strict=True)])
+        networks.append(_fit(np.concatenate(seen), truth, kind, seed))
+        noise = [judge(e, p, networks[-1], number) for e, p in zip(evidence, noise, strict=True)]
     return Scorer(list(evidence[0].names), networks, THRESHOLD[kind])
 
 
-def _prepare(labelled: LabelledCloud) -> tuple[Evidence, Mask]:
+def _prepared(labelled: LabelledCloud) -> tuple[Evidence, Mask]:
     voxels, rows = filters.prepared(labelled.voxels)
-    return gather(voxels, AdaptiveParams().k), labelled.is_noise[rows]
+    return look(voxels, AdaptiveParams().k)[1], labelled.is_noise[rows]
 
 
 def _fit(examples: F32, truth: Mask, kind: str, seed: int) -> Network:

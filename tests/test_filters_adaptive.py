@@ -10,8 +10,11 @@ from stereo_ore.bench import filters as bench
 from stereo_ore.bench.baselines import CONTENDERS
 from stereo_ore.bench.labelled import LabelledCloud, bare_cloud, paper_clouds, scene_stereo
 from stereo_ore.config import FilterConfig
-from stereo_ore.filters.evidence import DENSITY_FEATURES, gather, has_cues, image_space
+from stereo_ore.filters.adaptive import run_passes
+from stereo_ore.filters.evidence import DENSITY_FEATURES, gather
 from stereo_ore.filters.scorer import Network, Scorer, load
+from stereo_ore.filters.stereo import SURE, has_cues, image_space
+from stereo_ore.filters.stereo import gather as gather_stereo
 from stereo_ore.filters.surface import eigen, fit_planes
 from stereo_ore.metrics import filter_quality
 from stereo_ore.synth import paper_cloud
@@ -134,9 +137,24 @@ def test_scorer_survives_its_file_and_its_equation() -> None:
 
 
 def test_scorer_of_other_features_is_refused() -> None:
-    evidence = gather(bare_cloud(paper_cloud(0)[0][:200]), 16)
+    evidence = gather(bare_cloud(paper_cloud(0)[0][:200]).xyz, 16)
     assert evidence.names[: len(DENSITY_FEATURES)] == DENSITY_FEATURES
-    from stereo_ore.filters.adaptive import run_passes
-
     with pytest.raises(ValueError, match="other features"):
         run_passes(evidence, load("stereo"))
+
+
+def test_what_the_cues_decide_is_not_judged_again(stereo: LabelledCloud) -> None:
+    evidence = gather_stereo(stereo.voxels, 16)
+    first, final = load("stereo").passes[0].probability(evidence.cues), run_passes(evidence, load("stereo"))
+    sure = (first <= SURE) | (first >= 1 - SURE)
+    assert 0.1 < sure.mean() < 0.95
+    np.testing.assert_array_equal(final[sure], first[sure])
+    assert (final[~sure] != first[~sure]).mean() > 0.99
+
+
+def test_all_voxels_decided_by_cues_need_no_neighbours(stereo: LabelledCloud) -> None:
+    evidence = gather_stereo(stereo.voxels, 16)
+    certain = Network([0.0] * evidence.cues.shape[1], [1.0] * evidence.cues.shape[1],
+                      [[0.0]] * evidence.cues.shape[1], [0.0], [0.0], -30.0)  # fmt: skip
+    scorer = Scorer(list(evidence.names), [certain, load("stereo").passes[1]])
+    assert run_passes(evidence, scorer).max() < SURE

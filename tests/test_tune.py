@@ -110,7 +110,7 @@ def test_training_learns_and_repeats(monkeypatch: pytest.MonkeyPatch) -> None:
     assert scorer == training.train(clouds, "geometry")
     unseen = cloud(9)
     voxels, rows = filters.prepared(unseen.voxels)
-    quality = filter_quality(unseen.is_noise[rows], run_passes(gather(voxels, 16), scorer) > 0.5)
+    quality = filter_quality(unseen.is_noise[rows], run_passes(gather(voxels.xyz, 16), scorer) > 0.5)
     assert quality.f1 > 0.9
 
 

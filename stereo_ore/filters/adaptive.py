@@ -2,28 +2,32 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from stereo_ore.config.filters import AdaptiveParams
-from stereo_ore.filters.evidence import Evidence, features, gather, has_cues
-from stereo_ore.filters.scorer import Scorer, load
+from stereo_ore.filters import stereo
+from stereo_ore.filters.evidence import Evidence, gather
+from stereo_ore.filters.scorer import Network, Scorer, load
 from stereo_ore.types import F32, FilterResult, VoxelCloud
 
 
 def adaptive(voxels: VoxelCloud, params: AdaptiveParams) -> FilterResult:
     """Remove points whose noise probability is above the threshold; the score is that probability.
 
-    Neighbours are found and densities computed once (`evidence.gather`); a first pass judges by them and by the cues
-    alone. Each further pass fits planes to the neighbours, weighted by how likely each is to be surface, asks how well
-    the point lies on its own plane and on those of its neighbours (`surface`, and `wide` for stereo clouds), and scores
-    it anew: what the pass before took for noise no longer bends the surface.
+    A stereo cloud is judged by the matcher's cues first, and by its neighbours where those leave a doubt; a bare one by
+    its neighbours alone (`stereo.StereoEvidence`, `evidence.BareEvidence`). Each pass weighs neighbours by how likely
+    the pass before found each to be surface: what it took for noise no longer bends the planes fitted to them.
     """
-    evidence = gather(voxels, params.k)
-    name = "stereo" if has_cues(voxels) else "geometry"
+    name, evidence = look(voxels, params.k)
     scorer = load(name)
     noise = run_passes(evidence, scorer)
     threshold = scorer.threshold if params.threshold is None else params.threshold
     return FilterResult(noise <= threshold, noise, {"scorer": name, "threshold": threshold})
+
+
+def look(voxels: VoxelCloud, k: int) -> tuple[str, Evidence]:
+    """The kind of a cloud, which is its scorer's name, and its evidence from k neighbours."""
+    if stereo.has_cues(voxels):
+        return "stereo", stereo.gather(voxels, k)
+    return "geometry", gather(voxels.xyz, k)
 
 
 def run_passes(evidence: Evidence, scorer: Scorer) -> F32:
@@ -31,7 +35,15 @@ def run_passes(evidence: Evidence, scorer: Scorer) -> F32:
     if tuple(scorer.features) != evidence.names:
         raise ValueError("the scorer was trained on other features than the evidence has")
     noise = evidence.prior
-    for network in scorer.passes:
-        light = network.width == evidence.features.shape[1]
-        noise = network.probability(evidence.features if light else features(evidence, noise))
-    return np.asarray(noise, np.float32)
+    for number, network in enumerate(scorer.passes):
+        noise = judge(evidence, noise, network, number)
+    return noise
+
+
+def judge(evidence: Evidence, noise: F32, network: Network, number: int) -> F32:
+    """Noise probabilities (M,) after pass `number`; what was decided before stays."""
+    rows = evidence.undecided(noise)
+    after = noise.copy()
+    if len(rows):
+        after[rows] = network.probability(evidence.features(noise, rows, number))
+    return after

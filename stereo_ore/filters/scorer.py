@@ -28,11 +28,6 @@ class Network:
     output_weights: list[float]
     output_bias: float
 
-    @property
-    def width(self) -> int:
-        """Features taken."""
-        return len(self.mean)
-
     def probability(self, features: F32) -> F32:
         """Noise probability (M,) of (M, F) features."""
         scale = 1 / np.array(self.scale, np.float32)

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from stereo_ore.config import MatchingConfig
-from stereo_ore.matching import consistency, cues, sgbm, subpixel, windows
+from stereo_ore.matching import consistency, cues, relief, sgbm, subpixel, windows
 from stereo_ore.matching.bands import in_bands
 from stereo_ore.matching.consistency import Agreement
 from stereo_ore.matching.region import default_disparities
@@ -63,6 +63,8 @@ def _finish(images: sgbm.Crop, found: Agreement, rig: Rig) -> tuple[F32, dict[st
             doubts[name][target] = cue[core]
 
     in_bands(len(found.left), cues.REACH_PX, refine)
+    for name, cue in relief.compute(values[region.slices], found.valid).items():
+        doubts[name][region.slices] = cue
     return values, doubts
 
 

@@ -14,7 +14,12 @@ I16 = npt.NDArray[np.int16]
 U8 = npt.NDArray[np.uint8]
 Mask = npt.NDArray[np.bool_]
 
-CUES = ("valid_share", "spread_px", "lr_diff_px", "texture", "photometric", "median_diff_px")
+RELIEF_WINDOWS_PX = (14, 36, 72)
+"""Sides of the windows whose planes a disparity is held against."""
+
+PIXEL_CUES = ("valid_share", "spread_px", "lr_diff_px", "texture", "photometric", "median_diff_px")
+RELIEF_CUES = tuple(name for n in RELIEF_WINDOWS_PX for name in (f"offset_{n}_px", f"scatter_{n}_px", f"support_{n}"))
+CUES = PIXEL_CUES + RELIEF_CUES
 """What the matcher knows about a pixel beside its disparity; `Disparity.cues` and `VoxelCloud.cues` are keyed by these.
 
 valid_share     share of pixels with a disparity in a window around it, 0…1
@@ -23,6 +28,9 @@ lr_diff_px      |left-right − right-left| disparity difference, px
 texture         root mean square of the horizontal image gradient in a window, grey levels a px
 photometric     mean absolute grey difference of the matched windows over the texture, dimensionless
 median_diff_px  |disparity − its local median|, px
+offset_N_px     disparity − the plane fitted to a window of N px around it, px
+scatter_N_px    root mean square of the residuals of that plane, px
+support_N       share of the window that has a disparity, 0…1
 """
 
 
