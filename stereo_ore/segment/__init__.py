@@ -113,17 +113,18 @@ def _place(
     on_bar, between = np.zeros(raw.shape, np.bool_), np.zeros(raw.shape, np.bool_)
     if (bars := grizzly.bars) is None:
         return raw, on_bar, between, np.ones(raw.shape, np.float32)
-    high = raw > least
+    high = np.flatnonzero(raw > least)
     frame = find_frame(surface, relief, grizzly, bars)
-    c, s = bar_coordinates(surface.xyz[high], bars)
-    tolerance = np.maximum(3 * surface.sigma_z[high], np.float32(0.05 * opening))
-    steel = frame.covers(c, s, relief.height_m[high], tolerance)
+    depth = np.ascontiguousarray(surface.xyz[..., 2])
+    c, s = (coordinate.ravel()[high] for coordinate in bar_coordinates(surface, bars, depth))
+    tolerance = np.maximum(3 * surface.sigma_z.ravel()[high], np.float32(0.05 * opening))
+    steel = frame.covers(c, s, relief.height_m(raw.ravel()[high], depth.ravel()[high]), tolerance)
     clearance = bar_clearance(c, bars)
-    raw[high] = np.where(steel, 0, raw[high])
-    on_bar[high] = clearance < 0
-    between[high] = (clearance > bar_margin(relief, grizzly)) & ~steel
+    raw.ravel()[high[steel]] = 0
+    on_bar.ravel()[high] = clearance < 0
+    between.ravel()[high] = (clearance > bar_margin(relief, grizzly)) & ~steel
     inside = np.zeros(raw.shape, np.float32)
-    inside[high] = np.clip(frame.inside(c, s) / opening, -1, 1)
+    inside.ravel()[high] = np.clip(frame.inside(c, s) / opening, -1, 1)
     return raw, on_bar, between, inside
 
 
@@ -155,7 +156,7 @@ def _segment_heap(view: View, config: SegmentConfig) -> tuple[I32, dict[str, int
     lumps, dropped = _select(
         scene, filled(merge_parts(scene, parts, config.merge_probability)), coarse, view.relief.pixel_m, config
     )
-    tally = {"parts": int(len(np.unique(parts)) - 1)} | dropped
+    tally = {"parts": int(np.count_nonzero(np.bincount(parts[parts > 0])))} | dropped
     if coarse is view:
         return lumps, tally
     seeds = cv2.resize(lumps.astype(np.float32), view.mask.shape[::-1], interpolation=cv2.INTER_NEAREST)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from stereo_ore.segment.relief import Relief, bar_coordinates, ray_coordinates
+from stereo_ore.segment.relief import Relief, bar_coordinates, on_rays
 from stereo_ore.types import F32, F64, Bars, Grizzly, Mask, Surface
 
 CELLS_PER_BAR = 2
@@ -66,15 +66,17 @@ def find_frame(surface: Surface, relief: Relief, grizzly: Grizzly, bars: Bars) -
     frame) up to the first row one sees through: what lies outside that row at the row's median height is frame.
     """
     step = max(1, round(np.sqrt(relief.px.size / PLAN_PIXELS)))
-    height = relief.height_m[::step, ::step]
-    sigma = np.nan_to_num(surface.sigma_z[::step, ::step], nan=np.inf)
-    closed = np.nan_to_num(height, nan=-np.inf) > -np.maximum(3 * sigma, bars.width_m / 4)
+    depth = surface.xyz[::step, ::step, 2]
+    height = relief.height_m(relief.px[::step, ::step], depth)
+    # What is NaN compares false.
+    closed = height > -np.maximum(3 * surface.sigma_z[::step, ::step], np.float32(bars.width_m / 4))
     if not closed.any():
         none = Side(0.0, 1.0, np.array([np.nan]))
         return Frame((none, none))
-    point, ray = bar_coordinates(surface.xyz[::step, ::step], bars), ray_coordinates(surface, grizzly, bars, step)
+    on_plane = np.float32(grizzly.plane.offset) / on_rays(surface, grizzly.plane.normal, step)
     cell = bars.width_m / CELLS_PER_BAR
-    plan = [_cells(np.where(closed, p, r), p[closed], cell) for p, r in zip(point, ray, strict=True)]
+    coordinates = bar_coordinates(surface, bars, np.where(closed, depth, on_plane), step)
+    plan = [_cells(coordinate, coordinate[closed], cell) for coordinate in coordinates]
     inside = np.logical_and.reduce([(index >= 0) & (index < count) for index, _, count in plan])
     i, j = (index[inside].astype(np.intp) for index, _, _ in plan)
     shape = plan[0][2], plan[1][2]

@@ -16,6 +16,8 @@ def merge_parts(scene: Scene, labels: I32, limit: float) -> I32:
 
     In each round those pairs are joined that are the best of both partners, and the features are measured again.
     """
+    if labels.max(initial=0) < 2:
+        return labels
     parts = measure(scene, labels)
     for _ in range(ROUNDS):
         pairs = parts.pairs

@@ -31,8 +31,8 @@ def grow(cores: I32, mask: Mask, grey: U8, relief: F32, relief_scale: float, ban
     kernel = np.ones((2 * band + 1, 2 * band + 1), np.uint8)
     inner = cv2.erode(mask.astype(np.uint8), np.ones((band | 1, band | 1), np.uint8)) > 0
     seeds = np.where(inner, cores, 0)
-    lost = np.setdiff1d(cores, seeds)
-    seeds = np.where(np.isin(cores, lost), cores, seeds)
+    lost = np.bincount(seeds.ravel(), minlength=int(cores.max(initial=0)) + 1) == 0
+    seeds = np.where(lost[cores], cores, seeds)
     markers = np.where(seeds > 0, seeds + 1, 0).astype(np.int32)
     markers[cv2.dilate(mask.astype(np.uint8), kernel) == 0] = 1
     height = np.clip(relief * relief_scale, 0, 255).astype(np.uint8)

@@ -23,26 +23,33 @@ OCCLUSION_SLACK, OCCLUSION_EXTRA = 1.3, 2
 class Relief:
     """Heights over the screen in the image crop.
 
-    `px` (h, w) float32 is the disparity minus the plane's [px], NaN where none; `height_m` (h, w) float32 the distance
-    from the plane [m]. `sigma_px` is the standard deviation of a disparity, `pixel_m` the size of a pixel at the
-    scene's middle depth, `px_per_m` what a metre of height makes in disparity there.
+    `px` (h, w) float32 is the disparity minus the plane's [px], NaN where none. `sigma_px` is the standard deviation of
+    a disparity, `pixel_m` the size of a pixel at the scene's middle depth, `px_per_m` what a metre of height makes in
+    disparity there, `per_depth` the height over the depth that a pixel of disparity makes anywhere.
     """
 
     px: F32
-    height_m: F32
     sigma_px: float
     pixel_m: float
     px_per_m: float
+    per_depth: float
+
+    def height_m(self, px: F32, depth_m: F32) -> F32:
+        """Distance [m] from the plane of points of this relief and depth.
+
+        n·p − offset, with p on a ray whose plane depth is known: −offset · (disparity over the plane) / disparity.
+        """
+        return px * depth_m * np.float32(self.per_depth)
 
 
 def measure_relief(surface: Surface, grizzly: Grizzly) -> Relief:
     """Relief of a surface with at least one point over the grizzly's plane."""
     rig, plane = surface.rig, grizzly.plane
     focal_baseline = rig.fx * rig.baseline_m
+    scale = focal_baseline / plane.offset
     z = surface.xyz[..., 2]
-    px = np.float32(focal_baseline) / z - _plane_disparity(surface, plane.normal, plane.offset)
-    # n·p − offset, with p on a ray whose plane depth is known: −offset · (disparity over the plane) / disparity.
-    height = px * z * np.float32(-plane.offset / focal_baseline)
+    px = np.float32(focal_baseline) / z
+    px -= on_rays(surface, scale * plane.normal)
     step = max(1, round(np.sqrt(z.size / SAMPLED)))
     valid = np.isfinite(z[::step, ::step])
     if not valid.any():
@@ -50,31 +57,26 @@ def measure_relief(surface: Surface, grizzly: Grizzly) -> Relief:
     some, sigma_z = z[::step, ::step][valid], surface.sigma_z[::step, ::step][valid]
     middle = float(np.median(some))
     sigma = float(np.median(sigma_z / some**2)) * focal_baseline
-    return Relief(px, height, sigma, middle / rig.fx, focal_baseline / middle**2)
+    return Relief(px, sigma, middle / rig.fx, focal_baseline / middle**2, -1.0 / scale)
 
 
-def _plane_disparity(surface: Surface, normal: F64, offset: float) -> F32:
-    """Disparity [px] that the plane would have at each pixel of the crop: linear in the pixel's coordinates."""
-    x, y = _ray_axes(surface)
-    scale = surface.rig.fx * surface.rig.baseline_m / offset
-    across, down = scale * normal[0] * x, scale * (normal[1] * y + normal[2])
-    return np.asarray(across[None, :] + down[:, None], dtype=np.float32)
+def on_rays(surface: Surface, vector: F64, step: int = 1) -> F32:
+    """Product of a vector with the rays (x/z, y/z, 1) of every `step`-th pixel, (h, w): linear in the pixel."""
+    rig, (h, w) = surface.rig, surface.sigma_z.shape
+    x = (surface.x0 + np.arange(0, w, step) - rig.cx) / rig.fx
+    y = (surface.y0 + np.arange(0, h, step) - rig.cy) / rig.fy
+    across, down = (vector[0] * x).astype(np.float32), (vector[1] * y + vector[2]).astype(np.float32)
+    return np.asarray(across[None, :] + down[:, None])
 
 
-def bar_coordinates(xyz: F32, bars: Bars) -> tuple[F32, F32]:
-    """Coordinates across and along the bars [m] of points (..., 3)."""
-    across = xyz @ bars.across.astype(np.float32) - np.float32(bars.phase_m)
-    return across, xyz @ bars.direction.astype(np.float32)
-
-
-def ray_coordinates(surface: Surface, grizzly: Grizzly, bars: Bars, step: int) -> tuple[F32, F32]:
-    """Coordinates across and along the bars [m] of where every `step`-th pixel's ray meets the plane."""
-    x, y = _ray_axes(surface)
-    ray = np.stack(np.broadcast_arrays(x[None, ::step], y[::step, None], 1.0), -1).astype(np.float32)
-    plane = grizzly.plane
-    distance = np.float32(plane.offset) / (ray @ plane.normal.astype(np.float32))
-    across = ray @ bars.across.astype(np.float32) * distance - np.float32(bars.phase_m)
-    return across, ray @ bars.direction.astype(np.float32) * distance
+def bar_coordinates(surface: Surface, bars: Bars, depth_m: F32, step: int = 1) -> tuple[F32, F32]:
+    """Coordinates across and along the bars [m] of points at these depths (h, w) on every `step`-th pixel's ray."""
+    across = on_rays(surface, bars.across, step)
+    across *= depth_m
+    across -= np.float32(bars.phase_m)
+    along = on_rays(surface, bars.direction, step)
+    along *= depth_m
+    return across, along
 
 
 def bar_clearance(across: F32, bars: Bars) -> F32:
@@ -107,10 +109,3 @@ def fill_occlusions(px: F32) -> F32:
     out = px.copy()
     out.ravel()[np.repeat(first, length) + inside] = np.repeat(np.minimum(near, far)[fits], length)
     return out
-
-
-def _ray_axes(surface: Surface) -> tuple[F64, F64]:
-    """Slopes x/z of the columns and y/z of the rows."""
-    rig, (h, w) = surface.rig, surface.sigma_z.shape
-    x, y = np.arange(w, dtype=np.float64), np.arange(h, dtype=np.float64)
-    return (surface.x0 + x - rig.cx) / rig.fx, (surface.y0 + y - rig.cy) / rig.fy
