@@ -271,6 +271,14 @@ def test_the_limit_on_pixels_is_a_parameter(scene: Path, recording: Path, tmp_pa
     assert command(*run_arguments(scene, recording, tmp_path / "more"), "--set", "source.max_pixels=57600").code == 0
 
 
+@pytest.mark.parametrize("board", ["9x6", "charuco:9x6:20"])
+def test_a_board_in_a_tiny_picture(board: str, tmp_path: Path, command: Any) -> None:
+    cv2.imwrite(str(tmp_path / "both.png"), SMALL[:12, :16])
+    done = command("calibrate", "stereo", tmp_path, "--board", board, "--square-mm", 25, "--out", tmp_path / "c.yaml")
+    assert done.code in (1, 2)
+    assert not (tmp_path / "c.yaml").exists()
+
+
 def limit_memory() -> None:
     import resource
 

@@ -52,6 +52,10 @@ class Board:
         return self.marker_m is not None or (self.columns + self.rows) % 2 == 1
 
 
+LEAST_SIDE_PX = 32
+"""OpenCV's detectors fail in smaller images, which no board is seen in."""
+
+
 @dataclass(frozen=True)
 class Corners:
     """Which corners of `Board.points` were found, (N,), and where, (N, 2) [px]."""
@@ -66,6 +70,8 @@ def find_corners(gray: U8, board: Board) -> Corners | None:
     Of a chessboard, OpenCV's two detectors and their refinements are tried, since neither finds all boards; what fits
     a plane best is taken.
     """
+    if min(gray.shape) < LEAST_SIDE_PX:
+        return None
     if board.marker_m is not None:
         return _charuco(gray, board, board.marker_m)
     found = [_oriented(gray, px, board) for px in _chessboard(gray, board)]
