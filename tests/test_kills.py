@@ -75,16 +75,24 @@ def check_end(out: Path, reference: dict[str, bytes]) -> None:
             assert len(cloud_io.read(out / name))
 
 
-def kill_after(command: list[str], seconds: float) -> bool:
-    """Start a command and kill it with its process group; False when it had ended before."""
-    with subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
-    ) as process:
+def start(command: list[str]) -> subprocess.Popen[bytes]:
+    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+
+
+def until_opened(process: subprocess.Popen[bytes], out: Path) -> None:
+    """Wait until a run has begun to write, or has ended."""
+    while process.poll() is None and not (out / "inputs.jsonl.part").exists():
+        time.sleep(0.01)
+
+
+def kill_after(command: list[str], out: Path, seconds: float, from_start: bool) -> bool:
+    """Start a command and kill it some time after it started, or began to write; False when it had ended before."""
+    with start(command) as process:
+        if not from_start:
+            until_opened(process, out)
         time.sleep(seconds)
         alive = process.poll() is None
-        if alive:
-            process.send_signal(signal.SIGKILL)
-        process.wait()
+        process.kill()
     return alive
 
 
@@ -92,17 +100,18 @@ def kill_and_resume(recording: list[str], out: Path, workers: int, kills: int, s
     """Kill runs at random moments until there were so many kills; each run is resumed to its end."""
     rng = random.Random(seed)
     command = [*recording, "--out", str(out), "--workers", str(workers)]
-    begin = time.monotonic()
-    subprocess.run(command, check=True, capture_output=True)
-    whole_s = time.monotonic() - begin
+    with start(command) as process:
+        until_opened(process, out)
+        opened = time.monotonic()
+    work_s = time.monotonic() - opened
     reference = final_files(out)
     counts = {"kills": 0, "runs": 0, "before the first frame": 0, "with all frames done": 0}
     while counts["kills"] < kills:
         shutil.rmtree(out)
         again: list[str] = []
         for _ in range(min(rng.randint(1, 4), kills - counts["kills"])):
-            # A third of the time passes before the first file; kills there show little.
-            if kill_after([*command, *again], rng.uniform(0.25 * whole_s, 1.05 * whole_s)):
+            # What is done before anything is written is half of the time, and shows little: one kill in eight.
+            if kill_after([*command, *again], out, rng.uniform(0, 1.05 * work_s), from_start=rng.random() < 1 / 8):
                 counts["kills"] += 1
                 part = out / "frames.jsonl.part"
                 done = len(part.read_bytes().splitlines()) if part.exists() else 0
