@@ -9,6 +9,7 @@ import threading
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from multiprocessing import get_context, parent_process
@@ -24,6 +25,7 @@ from stereo_ore.sources import Source
 from stereo_ore.sources.ahead import ReadAhead
 from stereo_ore.types import FrameResult, Site
 
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 WRITES_AHEAD = 2
 """Frames whose files may wait to be written: a bound on memory, for a frame's arrays wait with them."""
 
@@ -78,7 +80,7 @@ def run(job: Job, indices: Sequence[int], workers: int = 1) -> Iterator[FrameLin
         yield from _overlapped(job, indices)
         return
     # Spawned, not forked: OpenCV's and BLAS's threads do not survive a fork.
-    with ProcessPoolExecutor(workers, get_context("spawn"), _start_worker, (job,)) as pool:
+    with _single_threaded(), ProcessPoolExecutor(workers, get_context("spawn"), _start_worker, (job,)) as pool:
         pending: deque[Future[FrameLines]] = deque()
         try:
             for index in indices:
@@ -90,6 +92,18 @@ def run(job: Job, indices: Sequence[int], workers: int = 1) -> Iterator[FrameLin
                 yield pending.popleft().result()
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def _single_threaded() -> Iterator[None]:
+    """BLAS and OpenMP of the processes that are started meanwhile have one thread: they read this when loaded."""
+    earlier = {name: os.environ.get(name) for name in THREAD_VARIABLES}
+    os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
+    try:
+        yield
+    finally:
+        for name, value in earlier.items():
+            os.environ.pop(name) if value is None else os.environ.update({name: value})
 
 
 def _overlapped(job: Job, indices: Sequence[int]) -> Iterator[FrameLines]:

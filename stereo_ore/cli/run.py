@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,6 +20,11 @@ if TYPE_CHECKING:
     from stereo_ore.types import Site, StereoCalibration
 
 log = logging.getLogger(__name__)
+
+Json = dict[str, Any]
+
+MOST_COMPLAINTS = 5
+"""Frames that are told about on standard error; all are in the records."""
 
 TABLE_WIDTH = 130
 """Columns of the table of ores where the output is no terminal."""
@@ -239,29 +244,39 @@ def _progress(total: int, done: int) -> Iterator[Any]:
 
 
 def _summarise(out: Path) -> None:
-    """A line a target on standard output, and what went wrong on standard error."""
+    """What was found on standard output, and what went wrong on standard error."""
+    from stereo_ore.results import Results
+
+    totals: Counter[str] = Counter()
+    bad: list[Json] = []
+    frame: Json = {}
+    for frame in Results(out).each_record():
+        totals.update({"frames": 1, frame["status"]: 1, **{key: frame["counts"][key] for key in ("ores", "targets")}})
+        if frame["status"] in ("failed", "degraded") and len(bad) < MOST_COMPLAINTS:
+            bad.append(frame)
+    for entry in bad:
+        log.warning("frame %s is %s: %s", entry["frame"], entry["status"], entry["reasons"][-1]["detail"])
+    if bad and totals["failed"] == totals["frames"]:
+        reason = bad[0]["reasons"][-1]
+        raise FrameError(f"no frame could be processed; the first: {reason['detail']}", code=reason["code"])
+    if totals["frames"] == 1:
+        _show(frame, out)
+    statuses = ("ok", "degraded", "empty", "failed")
+    summary = ", ".join(f"{totals[status]} {status}" for status in statuses if totals[status])
+    found = f"{totals['ores']} ores, {totals['targets']} targets"
+    typer.echo(f"{_frames(totals['frames'])} ({summary}), {found}: {out}")
+
+
+def _show(frame: Json, out: Path) -> None:
+    """The ores of a run's only frame."""
     from rich.console import Console
 
-    frames = [json.loads(line) for line in (out / "frames.jsonl").read_bytes().splitlines()]
-    failed = [frame for frame in frames if frame["status"] == "failed"]
-    for frame in [frame for frame in frames if frame["status"] in ("failed", "degraded")][:5]:
-        log.warning("frame %s is %s: %s", frame["frame"], frame["status"], frame["reasons"][-1]["detail"])
-    if frames and len(failed) == len(frames):
-        reason = failed[0]["reasons"][-1]
-        raise FrameError(f"no frame could be processed; the first: {reason['detail']}", code=reason["code"])
-    if len(frames) == 1:
-        if frames[0]["ores"]:
-            console = Console()
-            console.width = max(console.width, TABLE_WIDTH)
-            console.print(_ore_table(frames[0]))
-        if (overlay := out / "overlays" / f"{frames[0]['frame']}.png").is_file():
-            typer.echo(f"overlay: {overlay}")
-    counts = {
-        status: sum(frame["status"] == status for frame in frames) for status in ("ok", "degraded", "empty", "failed")
-    }
-    summary = ", ".join(f"{count} {status}" for status, count in counts.items() if count)
-    ores, targets = (sum(frame["counts"][key] for frame in frames) for key in ("ores", "targets"))
-    typer.echo(f"{_frames(len(frames))} ({summary}), {ores} ores, {targets} targets: {out}")
+    if frame["ores"]:
+        console = Console()
+        console.width = max(console.width, TABLE_WIDTH)
+        console.print(_ore_table(frame))
+    if (overlay := out / "overlays" / f"{frame['frame']}.png").is_file():
+        typer.echo(f"overlay: {overlay}")
 
 
 def _frames(count: int) -> str:

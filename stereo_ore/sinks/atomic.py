@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from stereo_ore.errors import OutputError
@@ -13,7 +13,22 @@ REMEDY = "Check path, space and permissions"
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Write `data` as `path` in one step.
+    """Write `data` as `path` in one step; errors as those of `in_one_step`."""
+    in_one_step(path, lambda temporary: temporary.write_bytes(data))
+
+
+def write_lines(path: Path, lines: Iterable[str]) -> None:
+    """Write UTF-8 lines, ends included, as `path` in one step, without holding them all in memory."""
+
+    def write(temporary: Path) -> None:
+        with temporary.open("w", encoding="utf-8", newline="") as file:
+            file.writelines(lines)
+
+    in_one_step(path, write)
+
+
+def in_one_step(path: Path, write: Callable[[Path], object]) -> None:
+    """Let `write` make a file under a temporary name, then give it the name `path`.
 
     Raises
     ------
@@ -24,7 +39,7 @@ def write_bytes(path: Path, data: bytes) -> None:
     temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_bytes(data)
+        write(temporary)
         os.replace(temporary, path)
     except OSError as fault:
         temporary.unlink(missing_ok=True) if temporary.parent.is_dir() else None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -29,17 +30,21 @@ FIELDS = (
 Json = dict[str, Any]
 
 
-def ores_csv(frames: Path) -> str:
-    """A row an ore from the records of a run."""
-    buffer = io.StringIO()
-    writer = csv.DictWriter(buffer, FIELDS, lineterminator="\n")
-    writer.writeheader()
+def ores_csv(frames: Path) -> Iterator[str]:
+    """A line an ore from the records of a run, after one with the columns' names."""
+    yield _csv_line(FIELDS)
     with frames.open(encoding="utf-8") as lines:
         for line in lines:
             frame = json.loads(line)
             for ore in frame["ores"]:
                 row = ore_row(frame, ore)
-                writer.writerow(row | {"reasons": " ".join(row["reasons"])})
+                row["reasons"] = " ".join(row["reasons"])
+                yield _csv_line(row.get(name) for name in FIELDS)
+
+
+def _csv_line(values: Iterable[Any]) -> str:
+    buffer = io.StringIO()
+    csv.writer(buffer, lineterminator="\n").writerow(values)
     return buffer.getvalue()
 
 

@@ -19,7 +19,7 @@ from typing import IO, Any
 
 from stereo_ore import __version__
 from stereo_ore.errors import OutputError
-from stereo_ore.sinks.atomic import guarded, make_folder, remove_leftovers, write_bytes, write_text
+from stereo_ore.sinks.atomic import guarded, make_folder, remove_leftovers, write_bytes, write_lines, write_text
 from stereo_ore.sinks.ore_table import ores_csv
 
 LINES = ("frames.jsonl", "timings.jsonl", "inputs.jsonl")
@@ -101,7 +101,7 @@ class RunFolder:
         for file in self._files.values():
             file.close()
         frames = self._part("frames.jsonl")
-        write_text(self.folder / "ores.csv", ores_csv(frames))
+        write_lines(self.folder / "ores.csv", ores_csv(frames))
         inputs = [json.loads(line) for line in self._part("inputs.jsonl").read_text(encoding="utf-8").splitlines()]
         finished = {**self.description, "inputs": inputs, "finished": True}
         for name in ("timings.jsonl", "frames.jsonl"):
