@@ -31,8 +31,8 @@ def stereo(synth_folder) -> LabelledCloud:  # type: ignore[no-untyped-def]
     return scene_stereo(synth_folder)
 
 
-def removed(labelled: LabelledCloud, **params: object) -> np.ndarray:
-    return ~filters.apply(labelled.voxels, FilterConfig(params=params)).keep
+def removed(labelled: LabelledCloud, method: str = "adaptive", **params: object) -> np.ndarray:
+    return ~filters.apply(labelled.voxels, FilterConfig(method=method, params=params)).keep
 
 
 def test_eigen_is_that_of_numpy() -> None:
@@ -158,3 +158,28 @@ def test_all_voxels_decided_by_cues_need_no_neighbours(stereo: LabelledCloud) ->
                       [[0.0]] * evidence.cues.shape[1], [0.0], [0.0], -30.0)  # fmt: skip
     scorer = Scorer(list(evidence.names), [certain, load("stereo").passes[1]])
     assert run_passes(evidence, scorer).max() < SURE
+
+
+def test_closed_form_finds_offsets_that_density_does_not_see(protocol: list[LabelledCloud]) -> None:
+    quality = filter_quality(protocol[1].is_noise, removed(protocol[1], "closed-form"))
+    assert quality.f1 > max(bench.judge(protocol[1], t).f1 for t in CONTENDERS if t.method == "paper")
+
+
+def test_closed_form_is_its_equation() -> None:
+    """A plane, and one point four spacings over it that no plane speaks for."""
+    u, v = np.meshgrid(np.arange(20.0), np.arange(20.0))
+    xyz = np.column_stack([u.ravel(), v.ravel(), np.zeros(u.size)])
+    xyz = np.concatenate([xyz + np.random.default_rng(0).normal(0, 0.01, xyz.shape), [[9.5, 9.5, 4.0]]])
+    result = filters.apply(bare_cloud(xyz), FilterConfig(method="closed-form"))
+    assert not result.keep[-1]
+    assert result.score[-1] > 0.999
+    assert result.keep[:-1].mean() > 0.95
+
+
+def test_closed_form_heeds_the_doubts_of_a_stereo_cloud(stereo: LabelledCloud) -> None:
+    params = FilterConfig(method="closed-form")
+    trusted = dict.fromkeys(stereo.voxels.cues, np.zeros(len(stereo.voxels), np.float32))
+    certain = dataclasses.replace(stereo.voxels, cues=trusted)
+    doubted = filters.apply(stereo.voxels, params).score - filters.apply(certain, params).score
+    assert doubted[stereo.is_noise].mean() > doubted[~stereo.is_noise].mean() > 0
+    assert filter_quality(stereo.is_noise, ~filters.apply(stereo.voxels, params).keep).f1 > 0.3

@@ -29,7 +29,7 @@ def filter_(
     source: Annotated[Path, typer.Argument(metavar="IN", help="Cloud: .ply .pcd .xyz .txt .csv .npy .npz")],
     out: Annotated[Path, typer.Argument(metavar="OUT", help="Kept points, any of these formats, all columns kept.")],
     method: Annotated[
-        str, typer.Option(help="adaptive, paper, paper-tuned, statistical, radius, lof or none.")
+        str, typer.Option(help="adaptive, closed-form, paper, paper-tuned, statistical, radius, lof or none.")
     ] = "adaptive",
     settings: Annotated[list[str] | None, typer.Option("--set", help="Parameter of the method: key=value.")] = None,
     unit: Annotated[str | None, typer.Option(help="Unit of the cloud's coordinates: m, cm or mm.")] = None,

@@ -56,3 +56,13 @@ class AdaptiveParams(StageConfig):
     threshold: float | None = param(
         None, "noise probability above which a point is removed; null: the scorer's own", gt=0, lt=1
     )
+
+
+class ClosedFormParams(StageConfig):
+    """The adaptive filter's equation without anything learned."""
+
+    k: int = param(16, "neighbours", ge=6, le=100)
+    scale: float = param(0.15, "s, distance from a plane that halves a vote, in spacings", gt=0)
+    support: float = param(0.2, "S₀, support at which a point is as likely noise as not", gt=0)
+    rounds: int = param(5, "times the planes are fitted to what the round before believed", ge=1, le=50)
+    threshold: float = param(0.95, "p above which a point is noise", gt=0, lt=1)

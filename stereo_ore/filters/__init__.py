@@ -13,6 +13,7 @@ import numpy.typing as npt
 from stereo_ore.config import FilterConfig
 from stereo_ore.config.filters import (
     AdaptiveParams,
+    ClosedFormParams,
     LofParams,
     NoneParams,
     PaperParams,
@@ -24,6 +25,7 @@ from stereo_ore.config.models import StageConfig
 from stereo_ore.errors import ConfigError
 from stereo_ore.filters.adaptive import adaptive
 from stereo_ore.filters.baselines import lof, none, radius, statistical
+from stereo_ore.filters.closed_form import closed_form
 from stereo_ore.filters.paper import paper
 from stereo_ore.types import F32, FilterResult, Mask, VoxelCloud
 
@@ -39,6 +41,7 @@ class Method:
 
 METHODS: Mapping[str, Method] = {
     "adaptive": Method(AdaptiveParams, adaptive),
+    "closed-form": Method(ClosedFormParams, closed_form),
     "paper": Method(PaperParams, paper),
     "paper-tuned": Method(PaperParams, paper, {"k0": 5, "alpha": 10.0, "R": 1.4}),
     "statistical": Method(StatisticalParams, statistical),
