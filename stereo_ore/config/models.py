@@ -71,7 +71,7 @@ class VoxelConfig(StageConfig):
 class FilterConfig(StageConfig):
     """The outlier filter; its parameters belong to the method."""
 
-    method: str = param("adaptive", "adaptive | paper | paper-tuned | statistical | radius | lof | none")
+    method: str = param("adaptive", "adaptive | closed-form | paper | paper-tuned | statistical | radius | lof | none")
     params: dict[str, Any] = param({}, "parameters of the method that differ from its defaults")
 
 
@@ -159,6 +159,8 @@ class HealthConfig(StageConfig):
     min_disparity_share: float = param(0.2, "share of the pixels searched that must have a disparity", ge=0, lt=1)
     max_spread_px: float = param(0.15, "median difference of neighbouring disparities that eyes which agree have", "px")
     max_row_shift_px: float = param(0.12, "row difference of the eyes that is left where they were matched", "px", gt=0)
+    min_brightness: float = param(24, "grey level that 5 % of the pixels reach, in the darker eye", ge=0, le=255)
+    min_fine_detail: float = param(0.014, "energy of the finest detail in both eyes, over that of coarse detail", ge=0)
     max_screen_offset: float = param(
         4.0, "distance of the screen seen from the site's plane, in standard deviations of a depth", gt=0
     )

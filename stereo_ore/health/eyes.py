@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -14,6 +15,11 @@ SMOOTHING_PX, WINDOW_PX, STEP_PX = 1.5, 15, 8
 """Images are smoothed by this much; a row shift is fitted in windows of this side, one each so many pixels."""
 LEAST_GRADIENT = 1.0
 """Mean square of the vertical gradient [grey levels² a px²] below which a window tells nothing of rows."""
+FINE_PX, COARSE_PX = (0.7, 1.4), (2.8, 5.6)
+"""Bands of detail [standard deviations of the smoothings between which it lies]: the finest that a lens in focus
+shows, and one that a blur of a few pixels leaves."""
+DETAIL_ROWS = 160
+"""Rows in the middle of the region on which detail is looked at."""
 CELLS = (3, 4)
 CELL_WINDOWS = 30
 """Shifts are gathered in so many cells of the image; a cell with fewer windows is left out."""
@@ -23,7 +29,8 @@ def doubts(pair: RectifiedPair, disparity: Disparity, config: HealthConfig) -> I
     """Why a disparity is too poor to act on.
 
     FEW_DISPARITIES: a covered lens, dust, no light. EYES_DISAGREE: swapped eyes, or eyes of two moments, match by
-    chance only, and neighbours differ. ROWS_DISAGREE: the calibration is not that of these images.
+    chance only, and neighbours differ. ROWS_DISAGREE: the calibration is not that of these images. TOO_DARK and
+    OUT_OF_FOCUS: disparities come out smooth and wrong.
     """
     valid, region = np.isfinite(disparity.values), disparity.region
     share = valid.sum() / max((region.x1 - region.x0) * (region.y1 - region.y0), 1)
@@ -38,6 +45,20 @@ def doubts(pair: RectifiedPair, disparity: Disparity, config: HealthConfig) -> I
     if shift > config.max_row_shift_px:
         text = f"the rows of the eyes differ by {shift:.2f} px, {config.max_row_shift_px} px at most are wanted"
         yield Reason("ROWS_DISAGREE", f"{text}: is the calibration that of this camera? See calibrate check")
+    yield from _image_doubts(_grey(pair.left), _grey(pair.right), disparity, pair.rig.disparity_offset_px, config)
+
+
+def _image_doubts(
+    left: U8, right: U8, disparity: Disparity, offset_px: float, config: HealthConfig
+) -> Iterator[Reason]:
+    brightest = min(float(np.percentile(image[disparity.region.slices], 95)) for image in (left, right))
+    if brightest < config.min_brightness:
+        text = f"95 % of the pixels are darker than {brightest:.0f} of 255, {config.min_brightness:.0f} is wanted"
+        yield Reason("TOO_DARK", f"{text}: is there light, is the exposure right?")
+    detail = fine_detail(left, right, disparity, offset_px)
+    if detail < config.min_fine_detail:
+        text = f"detail of a pixel has {detail:.3f} of the energy of detail of four, {config.min_fine_detail} is wanted"
+        yield Reason("OUT_OF_FOCUS", f"{text}: is there dirt or water on a lens, is it out of focus?")
 
 
 def row_shift(pair: RectifiedPair, disparity: Disparity) -> float:
@@ -47,26 +68,55 @@ def row_shift(pair: RectifiedPair, disparity: Disparity) -> float:
     shift (Lucas & Kanade 1981, one unknown). Disparities give way to a shift where edges slant, so about a third
     of a shift of up to 2 px is seen; more spoils the matching itself.
     """
-    left, right = (_smooth(image) for image in (pair.left, pair.right))
+    left, right = (_smooth(_grey(image), SMOOTHING_PX) for image in (pair.left, pair.right))
     shift, sure = _window_shifts(left, right, disparity, pair.rig.disparity_offset_px)
     medians = _cell_medians(shift, sure)
     return float(np.sqrt(np.mean(medians**2))) if len(medians) else 0.0
 
 
-def _smooth(image: U8) -> F32:
-    grey = cv2.GaussianBlur(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), (0, 0), SMOOTHING_PX)
-    return np.asarray(grey, np.float32)
+def fine_detail(left: U8, right: U8, disparity: Disparity, offset_px: float) -> float:
+    """Energy of the finest detail that both grey eyes show, over that of coarser detail; 1: unknown.
+
+    Noise does not count: it is not the same in both eyes, so it drops out of the product of matched pixels.
+    """
+    region = disparity.region
+    top = max((region.y0 + region.y1 - DETAIL_ROWS) // 2, region.y0)
+    rows = slice(top, min(top + DETAIL_ROWS, region.y1))
+    part = Disparity(disparity.values[rows], replace(region, y0=0, y1=rows.stop - rows.start))
+    valid = np.isfinite(part.values[part.region.slices])
+    energies = (_common_energy(left[rows], right[rows], part, offset_px, band) for band in (FINE_PX, COARSE_PX))
+    fine, coarse = (energy[valid] for energy in energies)
+    both = float(coarse.sum())
+    return float(fine.sum()) / both if both > 0 else 1.0
+
+
+def _common_energy(left: U8, right: U8, disparity: Disparity, offset_px: float, band: tuple[float, float]) -> F32:
+    one, other = (_smooth(image, band[0]) - _smooth(image, band[1]) for image in (left, right))
+    return one[disparity.region.slices] * _laid_over(other, disparity, offset_px)
+
+
+def _grey(image: U8) -> U8:
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+
+
+def _smooth(image: U8, sigma_px: float) -> F32:
+    return np.asarray(cv2.GaussianBlur(image.astype(np.float32), (0, 0), sigma_px), np.float32)
+
+
+def _laid_over(right: F32, disparity: Disparity, offset_px: float) -> F32:
+    """The right image as the left eye would see it, in the matched rectangle; as it is where nothing matched."""
+    rows, columns = disparity.region.slices
+    v, u = np.mgrid[rows, columns].astype(np.float32)
+    # A correction of the calibration is in the disparity, but not in the images.
+    there = u - np.nan_to_num(disparity.values[rows, columns] - np.float32(offset_px))
+    return np.asarray(cv2.remap(right, there, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32)
 
 
 def _window_shifts(left: F32, right: F32, disparity: Disparity, offset_px: float) -> tuple[F32, Mask]:
     """Row shift [px] of each window, and where it is known."""
     rows, columns = disparity.region.slices
-    values = disparity.values[rows, columns]
-    valid = np.isfinite(values)
-    v, u = np.mgrid[rows, columns].astype(np.float32)
-    # A correction of the calibration is in the disparity, but not in the images.
-    there = u - np.where(valid, values - np.float32(offset_px), np.float32(0))
-    laid = cv2.remap(right, there, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    valid = np.isfinite(disparity.values[rows, columns])
+    laid = _laid_over(right, disparity, offset_px)
     weight = valid.astype(np.float32)
     share = _mean(weight)
     gradient = np.asarray(cv2.Sobel(laid, -1, 0, 1, scale=1 / 8), np.float32)
