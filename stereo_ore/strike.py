@@ -29,7 +29,7 @@ from stereo_ore.types import (
     Surface,
 )
 
-PATCH_PIXELS = 3000
+PATCH_PIXELS = 1500
 """Larger lumps are searched with a stride, for time."""
 NOISE_SPREAD = 2.0
 """How much neighbouring pixels' common errors raise a plane's tilt over that from independent ones."""
