@@ -13,7 +13,7 @@ from stereo_ore.types import F32, F64, Bars, Grizzly, Mask, Surface
 CELLS_PER_BAR = 2
 """Cells of the plan view across a bar's width."""
 I64 = npt.NDArray[np.int64]
-PLAN_PIXELS = 100_000
+PLAN_PIXELS = 50_000
 """Pixels looked at."""
 CLOSED = 0.5
 """Share of a row of the plan view that is covered where the frame runs."""
