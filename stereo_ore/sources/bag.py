@@ -135,11 +135,11 @@ class BagPairs:
             )
         try:
             messages = self.reader.message(self.topics[0], left), self.reader.message(self.topics[1], right)
+            left_image, right_image = (ros_messages.image(message, self.path, self.max_pixels) for message in messages)
         except StereoOreError:
             raise
-        except Exception as fault:  # rosbags and its storages raise what they like on damaged files
+        except Exception as fault:  # rosbags raises what it likes; messages have the fields that the bag defines
             raise FrameError(f"can't be read here: {fault}", code="UNREADABLE_IMAGE", file=self.path) from None
-        left_image, right_image = (ros_messages.image(message, self.path, self.max_pixels) for message in messages)
         check_alike(left_image, right_image, f"{self.path}: {self.topics[0]}", self.topics[1])
         return StereoPair(self.names[index], index, *to_8_bit(left_image, right_image), stamp_ns=left.stamp_ns)
 
@@ -181,15 +181,18 @@ def _entries(pair: Pair, left: Sequence[Entry], right: Sequence[Entry]) -> tuple
 
 def _calibration(reader: Reader, topics: tuple[str, str]) -> StereoCalibration | None:
     """The calibration in the first camera_info of both eyes; None when an eye has none, or it says nothing."""
-    infos = []
-    for topic in map(camera_info_topic, topics):
-        if topic not in reader.topics(ros_messages.CAMERA_INFO):
-            return None
-        with _known_faults(reader.path):
-            infos.append(next((message for _, _, message in reader.messages([topic])), None))
-    if any(info is None or not np.any(ros_messages.matrix(info, "K")) for info in infos):
+    if any(camera_info_topic(topic) not in reader.topics(ros_messages.CAMERA_INFO) for topic in topics):
         return None
-    return ros_messages.calibration(infos[0], infos[1], is_rectified(topics[0]), reader.path)
+    with _known_faults(reader.path):
+        infos = [_first(reader, camera_info_topic(topic)) for topic in topics]
+        if any(info is None or not np.any(ros_messages.matrix(info, "K")) for info in infos):
+            return None
+        return ros_messages.calibration(infos[0], infos[1], is_rectified(topics[0]), reader.path)
+
+
+def _first(reader: Reader, topic: str) -> Any:
+    """The first message of a topic; None when there is none."""
+    return next((message for _, _, message in reader.messages([topic])), None)
 
 
 def _open(path: Path) -> AnyReader:

@@ -1,14 +1,13 @@
 """Fuzzes parsers with atheris (``pip install atheris``), guided by what their code does with each input.
 
 ``python tests/fuzz/campaign.py WORK PARSER… [--minutes 10]`` works in the folder WORK: ``WORK/PARSER/found`` gets one
-input and its traceback a find, ``WORK/PARSER/corpus`` all inputs that reached something new. ``--keep`` copies the
-fewest of those that reach as much to the corpus beside this file.
+input and its traceback a find, ``WORK/PARSER/corpus`` all inputs that reached something new. ``--keep`` copies some
+of those to the corpus beside this file.
 """
 
 import argparse
 import hashlib
 import json
-import shutil
 import subprocess
 import sys
 import time
@@ -17,7 +16,7 @@ import warnings
 from pathlib import Path
 
 HERE = Path(__file__).parent
-LARGEST_BYTES, KEPT_BYTES = 8192, 3000
+LARGEST_BYTES, KEPT_BYTES, KEPT_FILES = 8192, 3000, 15
 MEMORY_MB, TIMEOUT_S = 2000, 20
 
 
@@ -72,18 +71,12 @@ def campaign(name: str, work: Path, minutes: float) -> dict[str, object]:
 
 
 def keep(name: str, work: Path) -> None:
-    """Merge into the corpus beside this file the small inputs that reach something new."""
-    merged = work / "merged"
-    shutil.rmtree(merged, ignore_errors=True)
-    merged.mkdir()
-    kept = HERE / "corpus" / name
-    options = ["-merge=1", str(merged), str(kept), str(work / "corpus"), f"-max_len={KEPT_BYTES}"]
-    with (work / "log-merge").open("wb") as log:
-        subprocess.call([sys.executable, __file__, "--one", name, str(work), *options], stdout=log, stderr=log)
-    known = {file.read_bytes() for file in kept.iterdir()}
-    for file in merged.iterdir():
-        if (data := file.read_bytes()) not in known:
-            (kept / hashlib.sha1(data).hexdigest()[:12]).write_bytes(data)
+    """Copy to the corpus beside this file some inputs that reached something new, from the smallest to the largest."""
+    found = sorted((work / "corpus").iterdir(), key=lambda file: (file.stat().st_size, file.name))
+    found = [file for file in found if file.stat().st_size <= KEPT_BYTES]
+    for file in found[:: -(-len(found) // KEPT_FILES) or 1]:
+        data = file.read_bytes()
+        (HERE / "corpus" / name / hashlib.sha1(data).hexdigest()[:12]).write_bytes(data)
 
 
 def main() -> None:

@@ -23,7 +23,9 @@ VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
 SLOW = {"mcap": 40, "rosbag1": 40, "video": 40}
 """Examples for parsers whose libraries take their time."""
 
-VALID = {name: sorted(file for file in (CORPUS / name).iterdir() if file.suffix or name == "users") for name in PARSERS}
+VALID = {
+    name: sorted(file for file in (CORPUS / name).iterdir() if file.suffix or file.name == "users") for name in PARSERS
+}
 """Files to begin from; what fuzzing added has no suffix."""
 
 settings.register_profile("fuzz", deadline=None, suppress_health_check=list(HealthCheck))
