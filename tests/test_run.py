@@ -307,6 +307,13 @@ def test_the_written_calibration_is_the_one_that_was_read(
     assert dump(load(finished[0] / "calibration.yaml")) == dump(load(half / "calibration.yaml"))
 
 
+def test_clouds_and_overlays_can_be_left_out(half: Path, tmp_path: Path) -> None:
+    done = stereo_ore("run", half, *files(half), "--out", tmp_path, "--no-clouds", "--no-overlays", "--no-report")
+    assert done.returncode == 0, done.stderr
+    assert sorted(path.suffix for path in tmp_path.rglob("*") if path.suffix in (".ply", ".png")) == []
+    assert records(tmp_path)[0]["targets"]
+
+
 def test_pictures_are_written_when_asked_for(half: Path, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     done = stereo_ore("run", half, *files(half), "--out", tmp_path / "out", "--pictures", "--no-report")

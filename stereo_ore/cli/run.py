@@ -54,6 +54,8 @@ def run(
     ] = True,
     save_stages: Annotated[bool, typer.Option("--save-stages", help="Also write stages/FRAME.npz.")] = False,
     pictures: Annotated[bool, typer.Option("--pictures", help="Also write pictures/FRAME.png: ores in space.")] = False,
+    clouds: Annotated[bool, typer.Option("--clouds/--no-clouds", help="Write clouds/FRAME.ply.")] = True,
+    overlays: Annotated[bool, typer.Option("--overlays/--no-overlays", help="Write overlays/FRAME.png.")] = True,
     start: Annotated[int, typer.Option(min=0, help="First frame, counted from 0.")] = 0,
     stop: Annotated[int | None, typer.Option(min=0, help="Frame to stop before.")] = None,
     every: Annotated[
@@ -96,7 +98,7 @@ def run(
     if not indices:
         raise SourceError(f"has {_frames(len(recording.names))}, none of them selected", file=recording.path)
     _announce(place, len(indices))
-    job = batch.Job(recording, context, FrameFiles(out, save_stages, pictures), strict)
+    job = batch.Job(recording, context, FrameFiles(out, save_stages, pictures, clouds, overlays), strict)
     description = _description(
         recording, indices, context, {"calib": calib, "site": site, "config": config, "background": place.background}
     )

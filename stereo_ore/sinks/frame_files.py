@@ -43,13 +43,16 @@ class FrameFiles:
     folder: Path
     save_stages: bool = False
     pictures: bool = False
+    clouds: bool = True
+    overlays: bool = True
 
     def write(self, result: FrameResult) -> None:
-        """Write what the frame has: nothing for a frame that could not be read."""
-        self._write_image("overlays", result.name, overlay.draw(result))
+        """Write what the frame has and what is wanted: nothing for a frame that could not be read."""
+        if self.overlays:
+            self._write_image("overlays", result.name, overlay.draw(result))
         if self.pictures:
             self._write_image("pictures", result.name, scene_picture.draw(result))
-        if result.cloud is not None and result.voxels is not None and result.filtered is not None:
+        if self.clouds and result.cloud is not None and result.voxels is not None and result.filtered is not None:
             data = cloud_ply(result.cloud, result.voxels, result.filtered, _voxel_ids(result))
             write_bytes(self.folder / "clouds" / f"{result.name}.ply", data)
         if self.save_stages and result.disparity is not None:
