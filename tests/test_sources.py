@@ -406,11 +406,11 @@ def test_natural_order_is_total(keys: list[str]) -> None:
     assert sorted(keys, key=natural_key) == sorted(other_order, key=natural_key)
 
 
-@given(st.integers(0, 10**19 - 1))
+@given(st.integers(0, 2**63 - 1))
 @settings(deadline=None)
 def test_stamp_survives_in_a_name(stamp: int) -> None:
     assert name_stamp(stamp_name(stamp)) == stamp
 
 
 def test_names_that_are_no_stamps() -> None:
-    assert [name_stamp(name) for name in ("000123", "frame_1700000000123456789", "٣" * 19)] == [None] * 3
+    assert [name_stamp(name) for name in ("000123", "frame_1700000000123456789", "٣" * 19, "9" * 19)] == [None] * 4
