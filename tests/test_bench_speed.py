@@ -104,6 +104,7 @@ def test_tables_hold_every_figure(cost: speed.FrameCost) -> None:
     machine = {"cores": 2, "processor": "x", "opencv": "5", "load": 0.1}
     text = speed_tables.markdown([cost, cost], rows, machine)
     assert "| ms | VGA, site | VGA, site |" in text
+    assert "| status | ok | ok |" in text
     for stage in STAGES[:-1]:
         assert f"\n| {stage} |" in text
     assert f"**{cost.frame_ratio['3WAY']:.2f}**" in text

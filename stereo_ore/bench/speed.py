@@ -40,7 +40,8 @@ class FrameCost:
     """A frame of one size: medians over interleaved rounds in milliseconds, ratios as medians of each round's own.
 
     `frame_ms` is from reading to the record; `files_ms` cloud and overlay on disk. `plain_ms` is
-    ``StereoSGBM.compute`` on grey images, whole, `disparities` wide. `peak_mb` is the process's resident set.
+    ``StereoSGBM.compute`` on grey images, whole, `disparities` wide. `peak_mb` is the process's resident set. A frame
+    whose `status` is "degraded" may have ended before its last stages.
     """
 
     size: str
@@ -56,6 +57,7 @@ class FrameCost:
     peak_mb: float | None = None
     stage_peaks_mb: Mapping[str, float] = field(default_factory=dict)
     counts: Mapping[str, int] = field(default_factory=dict)
+    status: str = "ok"
 
 
 def make_scene(folder: Path, size: str) -> Path:
@@ -94,7 +96,7 @@ def _measure(size: str, scene: Path, site: bool, rounds: int) -> FrameCost:
         plain_ms={name: float(np.median(ms)) for name, ms in plain_ms.items()},
         frame_ratio={name: float(np.median(frames / ms)) for name, ms in plain_ms.items()},
         after_ratio={name: float(np.median(after / ms)) for name, ms in plain_ms.items()},
-        peak_mb=peak, stage_peaks_mb=stage_peaks, counts=dict(result.counts),
+        peak_mb=peak, stage_peaks_mb=stage_peaks, counts=dict(result.counts), status=result.status,
     )  # fmt: skip
 
 

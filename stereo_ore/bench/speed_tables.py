@@ -34,6 +34,7 @@ def _frames(frames: Sequence[FrameCost]) -> str:
     rows = [[name, *(_ms(cost.stages_ms.get(name)) for cost in frames)] for name in stages]
     rows.append(["**a frame, file to record**", *(f"**{cost.frame_ms:.0f}**" for cost in frames)])
     rows.append(["cloud and overlay on disk", *(_ms(cost.files_ms) for cost in frames)])
+    rows.append(["status", *(cost.status for cost in frames)])
     rows.append(["voxels", *(f"{cost.counts['voxels']:,}" for cost in frames)])
     rows.append(["disparities of the plain matchers", *(str(cost.disparities) for cost in frames)])
     for name in PLAIN:
