@@ -159,7 +159,7 @@ RAW_FAULTS: dict[str, Fault] = {
     SOUND: lambda case: case,
     "rotation ignored": _rotation(lambda v: 0 * v),
     "rotation transposed": _rotation(lambda v: -v),
-    "convergence (CV) off by 0.4°": _rotation(lambda v: v + [0, np.radians(0.4), 0]),
+    "convergence (CV) off by 0.4°": _rotation(lambda v: v + np.radians([0, 0.4, 0])),
     "lenses exchanged": _calibration(lambda c: replace(c, left=c.right, right=c.left)),
     "taken for rectified": _calibration(lambda c: replace(c, images="rectified", R_right_left=np.eye(3),
         left=replace(c.left, distortion=()), right=replace(c.left, distortion=()))),

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from stereo_ore.config import GrizzlyConfig, HealthConfig
@@ -25,6 +26,8 @@ CLEARER = 1.5
 OVERLAP = 5.0
 """Planes nearer than this [standard deviations of a depth] share points: one of them can't be much clearer."""
 
+LEAST_OPEN, GRID = 0.12, 20_000
+"""Share of a screen's outline, on a grid of so many pixels, that shows no bar and no ore: a bed of ore has no gaps."""
 LEAST_OWN, CLEAR_OF, BESIDE = 0.05, 2.5, 2.5
 """The bars are at the site's plane after all where at least this share of the points is, so many times more than
 so many tolerances above and below: then a wider plane is the floor of the pit."""
@@ -82,6 +85,8 @@ def deviation(surface: Surface, plane: Plane, config: GrizzlyConfig, least_share
     on = _on(sample, seen)
     if on.mean() < least_share or _spread(sample.xyz[on]) < WIDE * _spread(sample.xyz):
         return None
+    if _open_share(surface, seen, config) < LEAST_OPEN:
+        return None
     found = _deviation(sample.xyz[on], seen, plane, surface)
     near, beside = _share(sample, plane), _share_beside(sample, plane)
     overlaps = abs(found.offset_m) < OVERLAP * found.sigma_m
@@ -91,6 +96,19 @@ def deviation(surface: Surface, plane: Plane, config: GrizzlyConfig, least_share
 
 def _on(sample: Sample, plane: Plane) -> Mask:
     return np.asarray(np.abs(plane.height(sample.xyz)) < sample.tolerance)
+
+
+def _open_share(surface: Surface, plane: Plane, config: GrizzlyConfig) -> float:
+    """Share of the pixels within the outline of the plane's points that show nothing on it or above."""
+    step = max(1, int(np.sqrt(surface.xyz[..., 2].size / GRID)))
+    height = plane.height(surface.xyz[::step, ::step])
+    tolerance = config.distance_m or config.sigmas * surface.sigma_z[::step, ::step]
+    on = np.abs(height) < tolerance
+    if not on.any():
+        return 0.0
+    outline = cv2.convexHull(np.argwhere(on)[:, ::-1].astype(np.int32))
+    inside = cv2.fillConvexPoly(np.zeros(on.shape, np.uint8), outline, 1) > 0
+    return float((inside & ~(height > -tolerance)).sum() / inside.sum())
 
 
 def _share(sample: Sample, plane: Plane) -> float:

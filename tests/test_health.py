@@ -1,0 +1,151 @@
+"""The self-checks on made-up surfaces, pairs and lines whose fault is known."""
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from screens import DISTANCE, Screen, draw
+
+from stereo_ore.config import GrizzlyConfig, HealthConfig
+from stereo_ore.health import eye_doubts, eyes, screen_doubts
+from stereo_ore.health.history import Watch
+from stereo_ore.sinks.run_folder import FrameLines
+from stereo_ore.types import Disparity, Plane, RectifiedPair, Region
+
+CONFIG, GRIZZLY = HealthConfig(), GrizzlyConfig()
+WIDE = Screen(half=5.0, noise_px=0.15, pit=0.5)
+SIGMA_M = DISTANCE**2 / (300 * 0.12) * 0.15
+
+
+def told(screen: Screen, plane: Plane, depth: float = 0.3) -> bool:
+    """Whether the screen is told to have moved, with `depth` of what lies beneath it in the working volume."""
+    surface, _ = draw(screen)
+    surface.xyz[screen.plane.height(surface.xyz) < -depth] = np.nan
+    return [reason.code for reason in screen_doubts(surface, plane, GRIZZLY, CONFIG)] == ["SCREEN_MOVED"]
+
+
+def turned(plane: Plane, angle: float) -> Plane:
+    """About the x axis through the middle of the screen."""
+    c, s = np.cos(angle), np.sin(angle)
+    normal = np.array([[1, 0, 0], [0, c, -s], [0, s, c]]) @ plane.normal
+    return Plane(normal, float(normal @ [0, 0, DISTANCE]))
+
+
+@given(st.floats(-0.3, 0.3), st.floats(0, np.pi), st.integers(0, 1000), st.sampled_from([0.25, 0.5]))
+@settings(max_examples=15, deadline=None)
+def test_a_screen_at_its_place_is_not_told(tilt: float, yaw: float, seed: int, pit: float) -> None:
+    screen = replace(WIDE, tilt=tilt, yaw=yaw, seed=seed, pit=pit)
+    assert not told(screen, screen.plane)
+
+
+@given(st.floats(-0.3, 0.3), st.sampled_from([-25.0, -8.0, 8.0, 25.0]), st.integers(0, 1000))
+@settings(max_examples=10, deadline=None)
+def test_a_screen_elsewhere_is_told(tilt: float, sigmas: float, seed: int) -> None:
+    screen = replace(WIDE, tilt=tilt, seed=seed, pit=5.0)
+    assert told(screen, Plane(screen.plane.normal, screen.plane.offset + sigmas * SIGMA_M))
+
+
+@pytest.mark.parametrize("angle_deg", [-8, -3, 3, 8])
+def test_a_screen_that_is_turned_is_told(angle_deg: float) -> None:
+    screen = replace(WIDE, pit=5.0)
+    assert told(screen, turned(screen.plane, np.radians(angle_deg)))
+
+
+def test_a_wide_floor_of_the_pit_is_no_moved_screen() -> None:
+    screen = Screen(half=0.42, floor=0.3, noise_px=0.15)
+    assert not told(screen, screen.plane, depth=1.0)
+
+
+def test_a_screen_that_is_not_seen_is_not_judged() -> None:
+    """Spheres of ore side by side hide all bars."""
+    ore = tuple((s, c, 0.1, 0.16) for s in np.arange(-1.2, 1.3, 0.15) for c in np.arange(-0.9, 1.0, 0.15))
+    screen = replace(WIDE, lumps=ore)
+    assert not told(screen, screen.plane)
+
+
+def pair_of(flat: Any, shift_rows: int = 0) -> tuple[RectifiedPair, Disparity]:
+    height, width = flat.disparity.shape
+    pair = replace(flat.pair, right=np.roll(flat.pair.right, shift_rows, 0))
+    values = flat.disparity.copy()
+    cues = {"spread_px": np.zeros_like(values)}
+    return pair, Disparity(values, Region(0, 0, width, height, 0, 64), cues)
+
+
+def codes(pair: RectifiedPair, disparity: Disparity) -> list[str]:
+    return [reason.code for reason in eye_doubts(pair, disparity, CONFIG)]
+
+
+def test_aligned_rows_are_not_told(flat_plane_pair: Any) -> None:
+    pair, disparity = pair_of(flat_plane_pair)
+    assert eyes.row_shift(pair, disparity) < 0.03
+    assert codes(pair, disparity) == []
+
+
+@pytest.mark.parametrize("rows", [-1, 1])
+def test_a_shift_of_a_row_is_measured_and_told(flat_plane_pair: Any, rows: int) -> None:
+    pair, disparity = pair_of(flat_plane_pair, rows)
+    assert 0.5 < eyes.row_shift(pair, disparity) < 1.5
+    assert "ROWS_DISAGREE" in codes(pair, disparity)
+
+
+def test_a_correction_of_the_calibration_moves_no_pixel(flat_plane_pair: Any) -> None:
+    pair, disparity = pair_of(flat_plane_pair)
+    corrected = replace(pair, rig=replace(pair.rig, disparity_offset_px=7.0))
+    shifted = replace(disparity, values=disparity.values + np.float32(7.0))
+    assert eyes.row_shift(corrected, shifted) == pytest.approx(eyes.row_shift(pair, disparity), abs=1e-3)
+
+
+def test_the_dark_is_told(flat_plane_pair: Any) -> None:
+    pair, disparity = pair_of(flat_plane_pair)
+    dark = replace(pair, left=pair.left // 20, right=pair.right // 20)
+    assert "TOO_DARK" in codes(dark, disparity)
+
+
+def line(index: int, valid: int = 800, status: str = "ok", images: list[str] | None = None) -> FrameLines:
+    counts = {"pixels": 1000, "disparities": valid, "targets": 2 * (status == "ok")}
+    record = {"frame": str(index), "status": status, "reasons": [], "counts": counts, "targets": [1, 2]}
+    record["targets"] = [1, 2] if status == "ok" else []
+    inputs = {"frame": str(index), "images": images or [f"l{index}", f"r{index}"] if status != "failed" else None}
+    return FrameLines(json.dumps(record), "{}", json.dumps(inputs))
+
+
+def judged(lines: list[FrameLines], watch: Watch | None = None) -> list[list[str]]:
+    watch = watch or Watch(CONFIG)
+    records = [json.loads(watch.judge(entry).record) for entry in lines]
+    assert all(not (record["reasons"] and record["targets"]) for record in records)
+    return [[reason["code"] for reason in record["reasons"]] for record in records]
+
+
+def test_a_frozen_eye_is_told_also_after_a_frame_that_failed() -> None:
+    frames = [line(0), line(1, status="failed"), line(2, images=["l0", "new"]), line(3), line(4, images=["x", "r3"])]
+    assert judged(frames) == [[], [], ["FRAME_FROZEN"], [], ["FRAME_FROZEN"]]
+    assert judged(frames, Watch(CONFIG.model_copy(update={"refuse_frozen": False}))) == [[]] * 5
+
+
+def test_fewer_disparities_than_usual_are_told_for_as_long_as_they_last() -> None:
+    usual, few = [line(i) for i in range(5)], [line(i, valid=450) for i in range(5, 40)]
+    assert judged([*usual, *few]) == [[]] * 5 + [["VALID_SHARE_FELL"]] * 35
+    assert judged([*usual[:4], few[0]]) == [[]] * 5
+
+
+def test_a_slow_change_is_not_told() -> None:
+    assert judged([line(i, valid=900 - 5 * i) for i in range(120)]) == [[]] * 120
+
+
+FRAMES = st.lists(
+    st.tuples(st.sampled_from([900, 500, 100]), st.sampled_from(["ok", "empty", "failed"]), st.integers(0, 2))
+)
+
+
+@given(FRAMES, st.integers(0, 30))
+@settings(deadline=None)
+def test_a_continued_watch_judges_as_one_that_never_stopped(frames: list[tuple[int, str, int]], stop: int) -> None:
+    lines = [line(i, valid, status, [f"l{image}", f"r{i}"]) for i, (valid, status, image) in enumerate(frames)]
+    watch = Watch(CONFIG)
+    whole = [watch.judge(entry) for entry in lines]
+    later = Watch(CONFIG, whole[:stop])
+    assert [later.judge(entry) for entry in lines[stop:]] == whole[stop:]
