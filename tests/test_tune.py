@@ -9,7 +9,7 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from stereo_ore import cloud_io, filters, training, tune
+from stereo_ore import cloud_io, filters, tune
 from stereo_ore.bench.labelled import TUNING_SEED, LabelledCloud, bare_cloud
 from stereo_ore.cli import app, load_verbs
 from stereo_ore.config.loader import load_config
@@ -17,6 +17,7 @@ from stereo_ore.errors import ConfigError, StereoOreError
 from stereo_ore.filters.adaptive import run_passes
 from stereo_ore.filters.evidence import gather
 from stereo_ore.metrics import FilterQuality, filter_quality
+from stereo_ore.training import scorers
 
 
 def cloud(seed: int = 0) -> LabelledCloud:
@@ -104,10 +105,10 @@ def test_bad_cost_files(labelled_csv: Path, tmp_path: Path, text: str, words: st
 
 
 def test_training_learns_and_repeats(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(training.EPOCHS, "geometry", 30)
+    monkeypatch.setitem(scorers.EPOCHS, "geometry", 30)
     clouds = [cloud(seed) for seed in range(3)]
-    scorer = training.train(clouds, "geometry")
-    assert scorer == training.train(clouds, "geometry")
+    scorer = scorers.train(clouds, "geometry")
+    assert scorer == scorers.train(clouds, "geometry")
     unseen = cloud(9)
     voxels, rows = filters.prepared(unseen.voxels)
     quality = filter_quality(unseen.is_noise[rows], run_passes(gather(voxels.xyz, 16), scorer) > 0.5)
@@ -120,6 +121,6 @@ def test_seeds_of_tuning_and_reporting_are_disjoint() -> None:
 
 
 def test_varied_clouds_differ_from_the_protocol() -> None:
-    varied = training._varied(TUNING_SEED, 1)
+    varied = scorers._varied(TUNING_SEED, 1)
     assert 0 < varied.is_noise.mean() < 0.7
     assert len(varied.voxels) < 18_809

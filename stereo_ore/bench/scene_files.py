@@ -11,7 +11,7 @@ import numpy as np
 from stereo_ore import calibration
 from stereo_ore.errors import SourceError
 from stereo_ore.site import load_site
-from stereo_ore.types import F64, CameraModel, Site, StereoCalibration, Volume
+from stereo_ore.types import F64, CameraModel, Plane, Site, StereoCalibration, Volume
 
 BELOW_M, ABOVE_M = 0.15, 1.0
 """Depth and height of the working volume about the bar tops."""
@@ -29,7 +29,12 @@ def load_rig(folder: Path) -> tuple[StereoCalibration, Site]:
         return calibration.load(folder / "calibration.yaml"), load_site(folder / "site.yaml")
     try:
         calib, truth = (json.loads((folder / name).read_text(encoding="utf-8")) for name in ("calib.json", "gt.json"))
-        return _calibration(folder.name, calib), Site(volume=_volume(calib, truth))
+        opening, bar_width = truth["clear_opening_mm"] / 1000, truth["bar_width_mm"] / 1000
+        T_screen_camera = _screen_from_camera(calib, truth)
+        # Row z of the transform: height over the screen.
+        plane = Plane(T_screen_camera[2, :3], -float(T_screen_camera[2, 3]))
+        site = Site(None, _volume(T_screen_camera, truth), plane, opening, bar_width)
+        return _calibration(folder.name, calib), site
     except (OSError, ValueError) as fault:
         raise SourceError(f"truth can't be read: {fault}", file=folder) from None
     except KeyError as fault:
@@ -50,13 +55,16 @@ def _eye(K: list[list[float]], distortion: list[float] | None = None) -> CameraM
     return CameraModel((K[0][0], K[1][1]), (K[0][2], K[1][2]), tuple(np.ravel(distortion or ())))
 
 
-def _volume(calib: dict[str, Any], truth: dict[str, Any]) -> Volume:
-    """The screen's rectangle, `BELOW_M` under the bar tops to `ABOVE_M` over them."""
+def _screen_from_camera(calib: dict[str, Any], truth: dict[str, Any]) -> F64:
     T_world_camera = np.array(calib["T_world_left"], float)
     if not calib.get("rectified", True):
         T_world_camera[:3, :3] @= np.array(calib["reference_rectification"]["R1"], float).T
-    T_world_screen = np.array(truth["T_world_screen"], float)
-    T_screen_camera: F64 = np.linalg.solve(T_world_screen, T_world_camera)
+    T_screen_camera: F64 = np.linalg.solve(np.array(truth["T_world_screen"], float), T_world_camera)
     T_screen_camera[:3, 3] /= 1000
+    return T_screen_camera
+
+
+def _volume(T_screen_camera: F64, truth: dict[str, Any]) -> Volume:
+    """The screen's rectangle, `BELOW_M` under the bar tops to `ABOVE_M` over them."""
     half = np.array(truth["screen_size_mm"], float)[:2] / 2000
     return Volume(T_screen_camera, np.array([*-half, -BELOW_M]), np.array([*half, ABOVE_M]))

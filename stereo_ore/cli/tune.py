@@ -5,8 +5,9 @@ from __future__ import annotations
 import logging
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
@@ -15,9 +16,8 @@ from stereo_ore.errors import ConfigError
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-    from stereo_ore.bench.labelled import LabelledCloud
-
 log = logging.getLogger(__name__)
+Item = TypeVar("Item")
 
 
 def register(app: typer.Typer) -> None:
@@ -34,7 +34,8 @@ def tune(
     seeds: Annotated[int, typer.Option(min=1, max=500, help="Seeds of synthetic clouds, from 100 on.")] = 2,
     cost: Annotated[Path | None, typer.Option(help="YAML: weights of precision, recall and retention.")] = None,
     train: Annotated[
-        str | None, typer.Option(help="geometry or stereo: train adaptive's scorer instead (minutes).")
+        str | None,
+        typer.Option(help="geometry or stereo: train adaptive's scorer instead; segment: the models of lumps."),
     ] = None,
     scene: Annotated[list[Path] | None, typer.Option(help="Scene folder with truth to train on as well.")] = None,
 ) -> None:
@@ -76,26 +77,45 @@ def _search(out: Path, method: str, files: list[Path], seeds: int, cost: Path | 
 
 
 def _train(out: Path, kind: str, seeds: int, scenes: list[Path]) -> None:
-    from stereo_ore import training
-    from stereo_ore.bench.labelled import TUNING_SEED, scene_stereo
+    from stereo_ore.bench.labelled import TUNING_SEED
     from stereo_ore.sinks.atomic import make_folder
 
-    if kind not in ("geometry", "stereo"):
-        raise ConfigError(f"{kind!r} is no scorer", key="--train", remedy="Use geometry or stereo")
+    trainers = {"geometry": _train_scorer, "stereo": _train_scorer, "segment": _train_segment}
+    if kind not in trainers:
+        raise ConfigError(f"{kind!r} can't be trained", key="--train", remedy=f"Use one of {', '.join(trainers)}")
     make_folder(out)
-    wanted = range(TUNING_SEED, TUNING_SEED + seeds)
-    stereo = kind == "stereo"
-    source = training.stereo_clouds(wanted) if stereo else training.geometry_clouds(wanted)
-    clouds = [*map(scene_stereo, scenes), *_watched(source, seeds if stereo else 15 * seeds)]
-    scorer = training.train(clouds, kind)
+    text = trainers[kind](kind, range(TUNING_SEED, TUNING_SEED + seeds), scenes)
     path = out / f"{kind}.json"
-    path.write_text(scorer.to_json(), encoding="utf-8")
+    path.write_text(text, encoding="utf-8")
     typer.echo(path)
 
 
-def _watched(clouds: Iterator[LabelledCloud], total: int) -> Iterator[LabelledCloud]:
+def _train_scorer(kind: str, seeds: range, scenes: list[Path]) -> str:
+    """JSON of one of the adaptive filter's scorers."""
+    from stereo_ore.bench.labelled import scene_stereo
+    from stereo_ore.training import scorers
+
+    stereo = kind == "stereo"
+    source = scorers.stereo_clouds(seeds) if stereo else scorers.geometry_clouds(seeds)
+    clouds = [*map(scene_stereo, scenes), *_watched(source, len(seeds) if stereo else 15 * len(seeds), "clouds")]
+    return scorers.train(clouds, kind).to_json()
+
+
+def _train_segment(_kind: str, seeds: range, scenes: list[Path]) -> str:
+    """JSON of the segmentation's models; their quality on scenes they did not see is logged."""
+    from stereo_ore.config import SegmentConfig
+    from stereo_ore.training import lumps
+
+    sources = [*(partial(lumps.scene_views, s) for s in scenes), *(partial(lumps.made_views, n) for n in seeds)]
+    views = [view for source in _watched(iter(sources), len(sources), "scenes") for view in source()]
+    config = SegmentConfig()
+    log.info("on unseen scenes: %s", lumps.cross_validate(views, config))
+    return lumps.train(views, config).to_json()
+
+
+def _watched(items: Iterator[Item], total: int, what: str) -> Iterator[Item]:
     with _progress() as progress:
-        yield from progress.track(clouds, total=total, description="clouds")
+        yield from progress.track(items, total=total, description=what)
 
 
 def _progress() -> Progress:

@@ -17,15 +17,18 @@ from stereo_ore.segment.merge import lump_probability, merge_parts
 from stereo_ore.segment.outline import filled, grow, renumbered
 from stereo_ore.segment.relief import Relief, bar_clearance, bar_coordinates, fill_occlusions, measure_relief
 from stereo_ore.segment.split import long_parts, smooth_relief, valley_depth
+from stereo_ore.segment.weights import Weights, load
 from stereo_ore.types import F32, I16, I32, U8, Grizzly, Mask, OreMap, Surface, Volume
 
-__all__ = ["segment"]
+__all__ = ["Scene", "coarse_heaps", "look", "oversegment", "segment"]
 
 REACHES = (16, 8, 4)
 """Half lengths of the chords that look for valleys, as fractions 1/n of the opening."""
 NOT_BELOW = 0.2
 """Relief [thresholds] down to which a point between two bars is not below their tops."""
 REACH_WEIGHTS = (1.0, 1.0, 1.3)
+
+Box = tuple[slice, slice]
 
 
 @dataclass(frozen=True)
@@ -49,7 +52,9 @@ class View:
     opening_px: float
 
 
-def segment(surface: Surface, grizzly: Grizzly, volume: Volume | None, config: SegmentConfig) -> OreMap:
+def segment(
+    surface: Surface, grizzly: Grizzly, volume: Volume | None, config: SegmentConfig, weights: Weights | None = None
+) -> OreMap:
     """Label every lump in the image.
 
     Parameters
@@ -63,6 +68,8 @@ def segment(surface: Surface, grizzly: Grizzly, volume: Volume | None, config: S
         screen is no ore.
     config : SegmentConfig
         Thresholds.
+    weights : Weights or None
+        Models of pairs and parts; None for those that ship with the package.
 
     Returns
     -------
@@ -71,11 +78,11 @@ def segment(surface: Surface, grizzly: Grizzly, volume: Volume | None, config: S
     """
     if not np.isfinite(surface.xyz[..., 2]).any():
         return _ore_map(surface, np.zeros(surface.sigma_z.shape, np.int32), {"parts": 0})
-    view = look(surface, grizzly, config, bounded=volume is not None)
+    view, models = look(surface, grizzly, config, bounded=volume is not None), weights or load()
     labels = np.zeros(view.mask.shape, np.int32)
     counts = dict.fromkeys(("parts", "dropped_small", "dropped_unlike"), 0)
-    for box, heap in _heaps(view.mask, band_px(view, config)):
-        lumps, tally = _segment_heap(_part(view, box, heap), config)
+    for box, heap in _heaps(view, config):
+        lumps, tally = _segment_heap(heap, config, models)
         room = (labels[box] == 0) & (lumps > 0)
         labels[box][room] = lumps[room] + labels.max()
         counts = {key: counts[key] + tally[key] for key in counts}
@@ -133,30 +140,37 @@ def band_px(view: View, config: SegmentConfig) -> int:
     return max(3, round(config.band * view.opening_px))
 
 
-def _heaps(mask: Mask, band: int) -> Iterator[tuple[tuple[slice, slice], Mask]]:
-    """Box and mask of each heap: what touches, or nearly so that outlines may meet."""
-    kernel = np.ones((band + 1, band + 1), np.uint8)
-    _, heaps, stats, _ = cv2.connectedComponentsWithStats(cv2.dilate(mask.astype(np.uint8), kernel), connectivity=4)
+def _heaps(view: View, config: SegmentConfig) -> Iterator[tuple[Box, View]]:
+    """Box and view of each heap: what touches, or nearly so that outlines may meet."""
+    band = band_px(view, config)
+    near = cv2.dilate(view.mask.astype(np.uint8), np.ones((band + 1, band + 1), np.uint8))
+    _, heaps, stats, _ = cv2.connectedComponentsWithStats(near, connectivity=4)
     for number, (x, y, w, h, _) in enumerate(stats[1:], start=1):
         margin = band + 2
         box = np.s_[max(y - margin, 0) : y + h + margin, max(x - margin, 0) : x + w + margin]
-        yield box, mask[box] & (heaps[box] == number)
+        fields = {
+            name: getattr(view, name)[box] for name in ("filled", "raw", "grey", "bgr", "on_bar", "inside", "edge")
+        }
+        yield box, replace(view, mask=view.mask[box] & (heaps[box] == number), **fields)
 
 
-def _part(view: View, box: tuple[slice, slice], mask: Mask) -> View:
-    """The view of one heap."""
-    fields = {name: getattr(view, name)[box] for name in ("filled", "raw", "grey", "bgr", "on_bar", "inside", "edge")}
-    return replace(view, mask=mask, **fields)
+def coarse_heaps(view: View, config: SegmentConfig) -> Iterator[tuple[Box, View]]:
+    """Box of each heap, and its view at the size at which lumps are told apart."""
+    for box, heap in _heaps(view, config):
+        yield box, _coarse(heap, config)
 
 
-def _segment_heap(view: View, config: SegmentConfig) -> tuple[I32, dict[str, int]]:
+def _coarse(heap: View, config: SegmentConfig) -> View:
+    return _shrunk(heap, max(1, int(heap.opening_px / config.opening_px)))
+
+
+def _segment_heap(view: View, config: SegmentConfig, models: Weights) -> tuple[I32, dict[str, int]]:
     """Lumps of one heap."""
-    coarse = _shrunk(view, max(1, int(view.opening_px / config.opening_px)))
+    coarse = _coarse(view, config)
     scene, parts = oversegment(coarse, config)
-    lumps, dropped = _select(
-        scene, filled(merge_parts(scene, parts, config.merge_probability)), coarse, view.relief.pixel_m, config
-    )
-    tally = {"parts": int(np.count_nonzero(np.bincount(parts[parts > 0])))} | dropped
+    merged = filled(merge_parts(scene, parts, config.merge_probability, models.pair))
+    lumps, dropped = _select(scene, merged, coarse, view.relief.pixel_m, config, models)
+    tally = {"parts": int(len(np.unique(parts)) - 1)} | dropped
     if coarse is view:
         return lumps, tally
     seeds = cv2.resize(lumps.astype(np.float32), view.mask.shape[::-1], interpolation=cv2.INTER_NEAREST)
@@ -209,7 +223,7 @@ def oversegment(view: View, config: SegmentConfig) -> tuple[Scene, I32]:
 
 
 def _select(
-    scene: Scene, labels: I32, view: View, full_pixel_m: float, config: SegmentConfig
+    scene: Scene, labels: I32, view: View, full_pixel_m: float, config: SegmentConfig, models: Weights
 ) -> tuple[I32, dict[str, int]]:
     """Lumps numbered anew, and how many parts were dropped for being small or unlike a lump."""
     area = np.bincount(labels.ravel())
@@ -218,7 +232,7 @@ def _select(
     shrink = view.relief.pixel_m / full_pixel_m
     least = max((config.min_size_m / view.relief.pixel_m) ** 2, config.min_pixels / shrink**2)
     large = present & (area >= least)
-    likely = large & (lump_probability(scene, labels) > config.lump_probability)
+    likely = large & (lump_probability(scene, labels, models.part) > config.lump_probability)
     dropped = {"dropped_small": int((present & ~large).sum()), "dropped_unlike": int((large & ~likely).sum())}
     return renumbered(labels, likely), dropped
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from stereo_ore.segment import weights
+from stereo_ore.segment.weights import PAIR_FEATURES
 from stereo_ore.types import F32, F64, I32, U8, Mask
 
 CHORDS, STATIONS = 16, 8
@@ -109,9 +109,9 @@ def join(parts: Parts, into: I32) -> Parts:
 
 
 def pair_features(scene: Scene, parts: Parts) -> F64:
-    """Features (K, len(PAIR)) of the neighbouring pairs of parts; see `weights`."""
+    """Features (K, len(PAIR_FEATURES)) of the neighbouring pairs of parts."""
     if not len(parts.pairs):
-        return np.zeros((0, len(weights.PAIR)))
+        return np.zeros((0, len(PAIR_FEATURES)))
     a, b = parts.pairs.T
     area = parts.sums[:, 0]
     means = parts.sums[:, 1:] / np.maximum(area, 1)[:, None]
@@ -137,7 +137,7 @@ def pair_features(scene: Scene, parts: Parts) -> F64:
 
 
 def part_features(scene: Scene, labels: I32) -> F64:
-    """Features (n + 1, len(PART)) of the parts 0…n; see `weights`."""
+    """Features (n + 1, len(PART_FEATURES)) of the parts 0…n."""
     t, count = scene.threshold_px, int(labels.max(initial=0)) + 1
     inside = np.flatnonzero(labels)
     mine = labels.ravel()[inside]

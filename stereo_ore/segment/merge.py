@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from stereo_ore.segment import weights
 from stereo_ore.segment.features import Scene, join, measure, pair_features, part_features
+from stereo_ore.segment.weights import Logistic
 from stereo_ore.types import F64, I32
 
 ROUNDS = 12
 
 
-def merge_parts(scene: Scene, labels: I32, limit: float) -> I32:
+def merge_parts(scene: Scene, labels: I32, limit: float, model: Logistic) -> I32:
     """Join neighbouring parts whose probability of being one lump exceeds the limit.
 
     In each round those pairs are joined that are the best of both partners, and the features are measured again.
@@ -21,7 +21,7 @@ def merge_parts(scene: Scene, labels: I32, limit: float) -> I32:
     parts = measure(scene, labels)
     for _ in range(ROUNDS):
         pairs = parts.pairs
-        same = weights.probability(pair_features(scene, parts), weights.PAIR, weights.PAIR_BIAS)
+        same = model.probability(pair_features(scene, parts))
         best = np.zeros(len(parts.name))
         for end in pairs.T:
             np.maximum.at(best, end, same)
@@ -34,8 +34,8 @@ def merge_parts(scene: Scene, labels: I32, limit: float) -> I32:
     return parts.name[labels]
 
 
-def lump_probability(scene: Scene, labels: I32) -> F64:
+def lump_probability(scene: Scene, labels: I32, model: Logistic) -> F64:
     """Probability (n + 1,) that each part 0…n is a lump and not a wrong match, rubble or steel; 0 for label 0."""
-    out = weights.probability(part_features(scene, labels), weights.PART, weights.PART_BIAS)
+    out = model.probability(part_features(scene, labels))
     out[0] = 0.0
     return out

@@ -1,0 +1,249 @@
+"""Training of the segmentation's logistic models on scenes whose lumps are known."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from stereo_ore import evaluate, metrics, pipeline, segment, sources, synth
+from stereo_ore.bench.scene_files import load_rig
+from stereo_ore.config import Config, FilterConfig, SegmentConfig
+from stereo_ore.segment.features import join, measure, pair_features, part_features
+from stereo_ore.segment.merge import merge_parts
+from stereo_ore.segment.outline import filled
+from stereo_ore.segment.weights import PAIR_FEATURES, PART_FEATURES, Logistic, Weights
+from stereo_ore.types import F64, I32, Grizzly, Mask, Site, StereoCalibration, StereoPair, Surface, Volume
+
+THRESHOLDS = (None, 0.25, 0.5)
+"""Noise probabilities of the filter at which each scene is seen; None: the filter's own, with a screen given by the
+site and with one found."""
+
+FAMILIES = ("large", "paper", "hard", "large", "raw", "empty")
+PURE = 0.6
+"""Share of a part that must belong to one lump, or to none, for the part to be an example."""
+
+FOLDS = 5
+FIRST_LUMP = 2
+
+
+@dataclass(frozen=True)
+class View:
+    """A scene as segmentation is given it, with the true labels (H, W), lumps from 2 on, and those to be found."""
+
+    scene: str
+    surface: Surface
+    grizzly: Grizzly
+    volume: Volume | None
+    instance: I32
+    wanted: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Examples:
+    """Features (N, F), truths (N,) and weights (N,): a scene counts as the root of its examples."""
+
+    features: F64
+    truth: Mask
+    weight: F64
+
+    @classmethod
+    def of(cls, features: Sequence[F64], truth: Sequence[Mask], width: int) -> Examples:
+        """Gather what was found in parts of one scene; `width` features each."""
+        rows = np.concatenate([np.zeros((0, width)), *features])
+        return cls(rows, np.concatenate([np.zeros(0, bool), *truth]), np.full(len(rows), max(len(rows), 1) ** -0.5))
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Lumps wanted and found (overlap of at least a half), ores given and false ones, mean overlap of those wanted."""
+
+    wanted: int
+    found: int
+    given: int
+    false: int
+    iou: float
+
+    def __str__(self) -> str:
+        recall, false = self.found / max(self.wanted, 1), self.false / max(self.given, 1)
+        return f"recall {recall:.3f}, false {false:.3f}, mean IoU {self.iou:.3f} ({self.wanted} lumps)"
+
+
+def made_views(seed: int) -> Iterator[View]:
+    """Views of a synthetic scene; consecutive seeds take families in turn."""
+    made = synth.scene(seed, FAMILIES[seed % len(FAMILIES)], "HD1080" if seed % 7 == 6 else "HD720")
+    wanted = tuple(
+        lump.id
+        for lump in made.lumps
+        if lump.visible_pixels_rectified >= evaluate.MIN_PIXELS
+        and lump.visible_fraction >= evaluate.MIN_VISIBLE
+        and not lump.cut
+    )
+    yield from _views(made.spec.name, made.pair, made.calibration, made.site, made.instance, wanted)
+
+
+def scene_views(folder: Path) -> Iterator[View]:
+    """Views of a scene folder with truth."""
+    truth = evaluate.load_truth(folder)
+    calibration, site = load_rig(folder)
+    pair = sources.open_source(folder).read(0)
+    yield from _views(folder.name, pair, calibration, site, truth.instance, tuple(truth.wanted))
+
+
+def _views(
+    name: str, pair: StereoPair, calibration: StereoCalibration, site: Site, instance: I32, wanted: tuple[int, ...]
+) -> Iterator[View]:
+    unknown = replace(site, plane=None, opening_m=None, bar_width_m=None)
+    for threshold in THRESHOLDS:
+        params = {} if threshold is None else {"threshold": threshold}
+        for place in (site,) if params else (site, unknown):
+            context = pipeline.make_context(calibration, place, Config(filter=FilterConfig(params=params)))
+            result = pipeline.process(pair, context)
+            if result.surface is not None and result.grizzly is not None:
+                yield View(name, result.surface, result.grizzly, place.volume, instance, wanted)
+
+
+def train(views: Sequence[View], config: SegmentConfig, seed: int = 0) -> Weights:
+    """Fit both models: pairs of parts that are one lump, then merged parts that are a lump.
+
+    The second model sees parts merged by pair models that did not see their scene, as it will on new scenes.
+    """
+    return _fitted(_pairs(views, config, seed), _folds(views), views, config)
+
+
+def cross_validate(views: Sequence[View], config: SegmentConfig, seed: int = 0) -> Quality:
+    """Quality on views whose scenes the models did not see, in `FOLDS` folds by scene."""
+    fold, pairs = _folds(views), _pairs(views, config, seed)
+    found = []
+    for k in range(FOLDS):
+        seen, held = np.flatnonzero(fold != k).tolist(), np.flatnonzero(fold == k).tolist()
+        if held and seen:
+            weights = _fitted([pairs[i] for i in seen], fold[seen], [views[i] for i in seen], config)
+            found += [judge(views[i], config, weights) for i in held]
+    return _pooled(found)
+
+
+def judge(view: View, config: SegmentConfig, weights: Weights) -> Quality:
+    """Quality of the segmentation of one view."""
+    labels = segment.segment(view.surface, view.grizzly, view.volume, config, weights).labels
+    given = list(range(1, int(labels.max(initial=0)) + 1))
+    lumps = sorted({int(i) for i in np.unique(view.instance) if i >= FIRST_LUMP})
+    iou = metrics.iou_matrix(view.instance, labels, lumps, given)
+    best = dict(metrics.best_pairs(iou))
+    overlap = [iou[row, best[row]] if row in best else 0.0 for row, lump in enumerate(lumps) if lump in view.wanted]
+    hit = {column for row, column in best.items() if iou[row, column] >= 0.5}
+    mean = float(np.mean(overlap)) if overlap else np.nan
+    return Quality(len(overlap), int(np.sum(np.array(overlap) >= 0.5)), len(given), len(given) - len(hit), mean)
+
+
+def _pooled(found: Sequence[Quality]) -> Quality:
+    wanted, hit, given, false = (sum(getattr(q, name) for q in found) for name in ("wanted", "found", "given", "false"))
+    return Quality(wanted, hit, given, false, float(np.nansum([q.iou * q.wanted for q in found]) / max(wanted, 1)))
+
+
+def _folds(views: Sequence[View]) -> npt.NDArray[np.intp]:
+    """Fold of each view; views of one scene share it."""
+    names = list(dict.fromkeys(view.scene for view in views))
+    return np.array([names.index(view.scene) % FOLDS for view in views])
+
+
+def _fitted(
+    pairs: Sequence[Examples], fold: npt.NDArray[np.intp], views: Sequence[View], config: SegmentConfig
+) -> Weights:
+    parts = []
+    for k in range(FOLDS):
+        others = [p for p, f in zip(pairs, fold, strict=True) if f != k] or list(pairs)
+        model = _fit(others, PAIR_FEATURES)
+        parts += [_parts(v, config, model) for v, f in zip(views, fold, strict=True) if f == k]
+    return Weights(_fit(pairs, PAIR_FEATURES), _fit(parts, PART_FEATURES))
+
+
+def _fit(examples: Sequence[Examples], names: tuple[str, ...]) -> Logistic:
+    from sklearn.linear_model import LogisticRegression
+
+    features = np.concatenate([e.features for e in examples])
+    weight = np.concatenate([e.weight for e in examples])
+    mean, spread = features.mean(0), features.std(0) + 1e-9
+    model = LogisticRegression(max_iter=1000)
+    truth = np.concatenate([e.truth for e in examples])
+    model.fit((features - mean) / spread, truth, sample_weight=weight / weight.mean())
+    rows = [_rounded(row) for row in (mean, spread, model.coef_[0], model.intercept_)]
+    return Logistic(names, rows[0], rows[1], rows[2], rows[3][0])
+
+
+def _rounded(values: F64) -> tuple[float, ...]:
+    """Four significant figures: readable, and more than the decision needs."""
+    return tuple(float(f"{value:.4g}") for value in values)
+
+
+def _pairs(views: Sequence[View], config: SegmentConfig, seed: int) -> list[Examples]:
+    """Neighbouring parts, first as cut, then as more and more of those of one lump are joined in random order."""
+    rng = np.random.default_rng(seed)
+    return [_pairs_of(view, config, rng) for view in views]
+
+
+def _pairs_of(view: View, config: SegmentConfig, rng: np.random.Generator) -> Examples:
+    features, truths = [], []
+    for heap in _heaps(view, config):
+        owner, purity = _owners(heap.labels, heap.instance)
+        parts = measure(heap.scene, heap.labels)
+        while len(parts.pairs):
+            a, b = parts.pairs.T
+            same = (owner[a] == owner[b]) & (owner[a] >= FIRST_LUMP)
+            use = (purity[parts.pairs].min(1) > PURE) & (owner[parts.pairs].max(1) >= FIRST_LUMP)
+            features.append(pair_features(heap.scene, parts)[use])
+            truths.append(same[use])
+            if not same.any():
+                break
+            into = np.arange(len(parts.name), dtype=np.int32)
+            chosen = rng.permutation(np.flatnonzero(same))
+            for one, other in parts.pairs[chosen[: max(1, len(chosen) // 2)]].tolist():
+                into[into == into[other]] = into[one]
+            parts = join(parts, into)
+    return Examples.of(features, truths, len(PAIR_FEATURES))
+
+
+def _parts(view: View, config: SegmentConfig, pair: Logistic) -> Examples:
+    """Merged parts that are large enough to be lumps."""
+    features, truths = [], []
+    for heap in _heaps(view, config):
+        labels = filled(merge_parts(heap.scene, heap.labels, config.merge_probability, pair))
+        owner, _ = _owners(labels, heap.instance)
+        large = np.flatnonzero(np.bincount(labels.ravel()) > (config.min_size_m / heap.pixel_m) ** 2)
+        large = large[large > 0]
+        features.append(part_features(heap.scene, labels)[large])
+        truths.append(owner[large] >= FIRST_LUMP)
+    return Examples.of(features, truths, len(PART_FEATURES))
+
+
+@dataclass(frozen=True)
+class _Heap:
+    scene: segment.Scene
+    labels: I32
+    instance: I32
+    pixel_m: float
+
+
+def _heaps(view: View, config: SegmentConfig) -> Iterator[_Heap]:
+    """The heaps of a view as cut into parts, and the truth at their size."""
+    row, column = view.surface.y0, view.surface.x0
+    height, width = view.surface.xyz.shape[:2]
+    instance = view.instance[row : row + height, column : column + width].astype(np.uint8)
+    looked = segment.look(view.surface, view.grizzly, config, bounded=view.volume is not None)
+    for box, coarse in segment.coarse_heaps(looked, config):
+        scene, labels = segment.oversegment(coarse, config)
+        if labels.any():
+            small = cv2.resize(instance[box], labels.shape[::-1], interpolation=cv2.INTER_NEAREST)
+            yield _Heap(scene, labels, small.astype(np.int32), coarse.relief.pixel_m)
+
+
+def _owners(labels: I32, instance: I32) -> tuple[npt.NDArray[np.intp], F64]:
+    """The true label that most of each part 0…n has, and its share of the part."""
+    shape = (int(labels.max(initial=0)) + 1, int(instance.max(initial=0)) + 1)
+    common = np.bincount(labels.ravel().astype(np.int64) * shape[1] + instance.ravel(), minlength=shape[0] * shape[1])
+    common = common.reshape(shape)
+    return common.argmax(1), common.max(1) / np.maximum(common.sum(1), 1)

@@ -1,0 +1,64 @@
+"""Training of the segmentation's models: what it is shown, that it learns, and the file it writes."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from stereo_ore.config import SegmentConfig
+from stereo_ore.segment.weights import Logistic, Weights, load
+from stereo_ore.training import lumps
+
+CONFIG = SegmentConfig()
+
+
+@pytest.fixture(scope="module")
+def views(synth_scene):  # type: ignore[no-untyped-def]
+    made = synth_scene
+    wanted = tuple(lump.id for lump in made.lumps if not lump.cut and lump.visible_pixels > 400)
+    return list(lumps._views("one", made.pair, made.calibration, made.site, made.instance, wanted))
+
+
+def test_a_scene_is_seen_at_each_threshold_and_without_its_screen(views: list[lumps.View]) -> None:
+    assert len(views) == len(lumps.THRESHOLDS) + 1
+    kept = [int(np.isfinite(view.surface.sigma_z).sum()) for view in views]
+    assert kept[2] < kept[0] == kept[1] < kept[3]
+
+
+def test_pairs_of_one_lump_are_told_from_pairs_of_two(views: list[lumps.View]) -> None:
+    pairs = lumps._pairs(views, CONFIG, 0)
+    model = lumps._fit(pairs, load().pair.features)
+    features, truth = (np.concatenate([getattr(p, name) for p in pairs]) for name in ("features", "truth"))
+    assert truth.any()
+    assert not truth.all()
+    sure = model.probability(features)
+    assert sure[truth].mean() > sure[~truth].mean() + 0.3
+
+
+def test_training_repeats_and_segments(views: list[lumps.View]) -> None:
+    """With one lump declared rubble, so that there are parts that are none."""
+    rubble = np.where(views[0].instance == views[0].wanted[-1], 0, views[0].instance)
+    split = [dataclasses.replace(v, scene=f"{n}", instance=rubble, wanted=v.wanted[:-1]) for n, v in enumerate(views)]
+    weights = lumps.train(split, CONFIG)
+    assert weights == lumps.train(split, CONFIG)
+    quality = lumps.judge(views[0], CONFIG, weights)
+    assert quality.found >= quality.wanted - 1
+    assert 0 <= quality.false <= quality.given
+    assert "recall" in str(lumps.cross_validate(split, CONFIG))
+
+
+def test_weights_survive_their_file() -> None:
+    assert Weights.from_dict(json.loads(load().to_json())) == load()
+
+
+def test_weights_of_other_features_are_refused() -> None:
+    data = json.loads(load().to_json())
+    data["pair"]["features"][0] = "another"
+    with pytest.raises(ValueError, match="other features"):
+        Weights.from_dict(data)
+
+
+def test_logistic_is_its_equation() -> None:
+    model = Logistic(("a", "b"), (1.0, 0.0), (2.0, 1.0), (0.5, -1.0), 0.25)
+    np.testing.assert_allclose(model.probability(np.array([[3.0, 2.0]])), 1 / (1 + np.exp(0.5 * -1 + 2 - 0.25)))
