@@ -74,14 +74,14 @@ def doubts(surface: Surface, plane: Plane, grizzly: GrizzlyConfig, config: Healt
 
 
 def deviation(surface: Surface, plane: Plane, config: GrizzlyConfig, least_share: float) -> Deviation | None:
-    """How far the widest plane of the cloud is from `plane`; None where no plane is wide and clear."""
+    """How far the clearest plane of the cloud is from `plane`; None where no plane is clear."""
     sample = draw_sample(surface, config)
     if len(sample) < FEWEST_POINTS:
         return None
-    widest = next(candidate_planes(sample, config), None)
-    if widest is None:
+    planes = [refine(sample, plane, BarFit(None, 0.0)) for plane, _ in candidate_planes(sample, config)]
+    if not planes:
         return None
-    seen = refine(sample, widest[0], BarFit(None, 0.0))
+    seen = max(planes, key=lambda candidate: _share(sample, candidate))
     on = _on(sample, seen)
     if on.mean() < least_share or _spread(sample.xyz[on]) < WIDE * _spread(sample.xyz):
         return None
