@@ -15,7 +15,8 @@ def test_every_test_that_the_table_names_exists() -> None:
 
 
 def test_every_row_of_the_table_names_a_test_or_admits_that_there_is_none() -> None:
-    rows = [line for line in (TESTS / "README.md").read_text(encoding="utf-8").splitlines() if line.startswith("| ")]
+    table = (TESTS / "README.md").read_text(encoding="utf-8").partition("\n## Fuzzing")[0]
+    rows = [line for line in table.splitlines() if line.startswith("| ")]
     assert len(rows) > 35
     bare = [row for row in rows[1:] if not NAMED.search(row) and not row.endswith("| none |")]
     assert bare == []
