@@ -79,14 +79,13 @@ def deviation(surface: Surface, plane: Plane, config: GrizzlyConfig, least_share
     if len(sample) < FEWEST_POINTS:
         return None
     planes = [refine(sample, plane, BarFit(None, 0.0)) for plane, _ in candidate_planes(sample, config)]
-    if not planes:
+    wide = [candidate for candidate in planes if _is_wide(sample, candidate, least_share)]
+    if not wide:
         return None
-    seen = max(planes, key=lambda candidate: _share(sample, candidate))
-    on = _on(sample, seen)
-    if on.mean() < least_share or _spread(sample.xyz[on]) < WIDE * _spread(sample.xyz):
-        return None
+    seen = max(wide, key=lambda candidate: _share(sample, candidate))
     if _open_share(surface, seen, config) < LEAST_OPEN:
         return None
+    on = _on(sample, seen)
     found = _deviation(sample.xyz[on], seen, plane, surface)
     near, beside = _share(sample, plane), _share_beside(sample, plane)
     overlaps = abs(found.offset_m) < OVERLAP * found.sigma_m
@@ -96,6 +95,12 @@ def deviation(surface: Surface, plane: Plane, config: GrizzlyConfig, least_share
 
 def _on(sample: Sample, plane: Plane) -> Mask:
     return np.asarray(np.abs(plane.height(sample.xyz)) < sample.tolerance)
+
+
+def _is_wide(sample: Sample, plane: Plane, least_share: float) -> bool:
+    """Whether a plane has points enough, over much of what is seen."""
+    on = _on(sample, plane)
+    return bool(on.mean() >= least_share and _spread(sample.xyz[on]) >= WIDE * _spread(sample.xyz))
 
 
 def _open_share(surface: Surface, plane: Plane, config: GrizzlyConfig) -> float:
