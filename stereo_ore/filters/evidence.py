@@ -61,7 +61,9 @@ class BareEvidence:
         weight, odds = 1 - noise, log_odds(noise)
         planes = fit_planes(self.points, self.index, weight, self.points)
         support = votes(self.points, self.index, weight, planes, self.points)
-        return columns(self.density, planes.shape, support, odds, mean_of(odds, self.index))[rows]
+        table = columns(self.density, planes.shape, support, odds, mean_of(odds, self.index))
+        # A copy of all rows of a large cloud would be the greatest memory that there is.
+        return table if len(rows) == len(table) else table[rows]
 
 
 def gather(xyz: F32, k: int) -> BareEvidence:

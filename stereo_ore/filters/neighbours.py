@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -13,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
+from stereo_ore.threads import pool
 from stereo_ore.types import F32
 
 CHUNK = 4096
@@ -65,7 +64,7 @@ def nearest(points: F32, at: F32, k: int) -> tuple[Index, F32]:
     exponent = int(np.clip(np.frexp(max(np.abs(points).max(), np.abs(at).max()))[1], -100, 100))
     down, up = np.float32(2.0**-exponent), np.float32(2.0**exponent)
     tree = _tree(np.ascontiguousarray(points * down))
-    index, distance = np.empty((k, len(at)), np.intp), np.empty((k, len(at)), np.float32)
+    index, distance = np.empty((k, len(at)), np.int32), np.empty((k, len(at)), np.float32)
 
     def fill(rows: slice) -> None:
         i, d = tree(np.ascontiguousarray(at[rows] * down), k)
@@ -113,9 +112,9 @@ def columns(*values: npt.NDArray[np.floating[Any]]) -> F32:
 
 
 def map_rows(function: Callable[[slice], npt.NDArray[Scalar]], length: int) -> npt.NDArray[Scalar]:
-    """What `function` gives for consecutive chunks of rows, one after the other, computed on all processors.
+    """What `function` gives for consecutive chunks of rows, one after the other, computed by all threads.
 
-    A chunk's result doesn't depend on the others, so the number of processors changes nothing.
+    A chunk's result doesn't depend on the others, so the number of threads changes nothing.
     """
     return np.concatenate(_each_chunk(function, length))
 
@@ -124,8 +123,7 @@ Result = TypeVar("Result")
 
 
 def _each_chunk(function: Callable[[slice], Result], length: int) -> list[Result]:
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return list(pool.map(function, chunks(length)))
+    return list(pool().map(function, chunks(length)))
 
 
 def chunks(length: int, size: int = CHUNK) -> Iterator[slice]:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 
-import cv2
+from stereo_ore.threads import pool
 
 BANDS = 4
 """As many as OpenCV's 3WAY works on; more of them would read more rows twice."""
@@ -30,6 +29,5 @@ def in_bands(height: int, halo: int, work: Callable[[slice, slice, slice], None]
         if stop > start:
             work(slice(first, last), slice(start - first, stop - first), slice(start, stop))
 
-    with ThreadPoolExecutor(max(cv2.getNumThreads(), 1)) as pool:
-        for done in [pool.submit(call, index) for index in range(BANDS)]:
-            done.result()
+    for done in [pool().submit(call, index) for index in range(BANDS)]:
+        done.result()

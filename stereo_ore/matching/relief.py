@@ -5,12 +5,12 @@ A patch of wrong disparities is smooth inside; planes over wider windows show th
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
+from stereo_ore.threads import pool
 from stereo_ore.types import F32, RELIEF_WINDOWS_PX, Mask
 
 REDUCTIONS = {14: 2, 36: 4, 72: 8}
@@ -62,8 +62,7 @@ def compute(values: F32, valid: Mask) -> dict[str, F32]:
         offset = (centred - value) * weight
         return {f"offset_{window}_px": offset, f"scatter_{window}_px": scatter, f"support_{window}": support}
 
-    with ThreadPoolExecutor(max(cv2.getNumThreads(), 1)) as pool:
-        return {name: cue for found in pool.map(cues, RELIEF_WINDOWS_PX) for name, cue in found.items()}
+    return {name: cue for found in pool().map(cues, RELIEF_WINDOWS_PX) for name, cue in found.items()}
 
 
 def _planes(centred: F32, weight: F32, reduction: int, window: int) -> Level:
