@@ -63,6 +63,9 @@ def voxelise(cloud: PointCloud, disparity: Disparity, rig: Rig, size_m: float) -
     def mean(values: npt.NDArray[np.floating]) -> F32:
         return (np.bincount(inverse, values, len(count)) / count).astype(np.float32)
 
+    region = disparity.region
+    v, u = np.divmod(cloud.pixel, np.int32(cloud.image_shape[1]))
+    at = (v - region.y0) * (region.x1 - region.x0) + (u - region.x0)
     xyz = np.stack([mean(axis) for axis in along], -1)
     return VoxelCloud(
         xyz,
@@ -71,7 +74,7 @@ def voxelise(cloud: PointCloud, disparity: Disparity, rig: Rig, size_m: float) -
         size_m,
         mean(cloud.sigma_z),
         (xyz[:, 2] / rig.fx).astype(np.float32),
-        {name: mean(np.take(cue, cloud.pixel)) for name, cue in disparity.cues.items()},
+        {name: mean(np.take(cue, at)) for name, cue in disparity.cues.items()},
     )
 
 

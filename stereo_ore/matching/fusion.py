@@ -66,9 +66,17 @@ def fuse(pairs: Sequence[RectifiedPair], disparities: Sequence[Disparity]) -> Di
     return Disparity(
         values,
         region,
-        {name: np.mean([disparity.cues[name] for disparity in kept], axis=0) for name in sorted(names)},
+        {name: np.mean([_spread(disparity, name, region) for disparity in kept], axis=0) for name in sorted(names)},
         {**kept[0].diagnostics, "fused": len(kept), "refused": np.flatnonzero(~still).tolist(), "support": support},
     )
+
+
+def _spread(disparity: Disparity, name: str, region: Region) -> F32:
+    """A cue laid into a region that holds the disparity's own; 0 beside that."""
+    own = disparity.region
+    cue = np.zeros((region.y1 - region.y0, region.x1 - region.x0), np.float32)
+    cue[own.y0 - region.y0 : own.y1 - region.y0, own.x0 - region.x0 : own.x1 - region.x0] = disparity.cues[name]
+    return cue
 
 
 def _refine(pairs: Sequence[RectifiedPair], region: Region, values: F32) -> F32:

@@ -12,7 +12,7 @@ from stereo_ore.matching import consistency, cues, relief, sgbm, subpixel, windo
 from stereo_ore.matching.bands import in_bands
 from stereo_ore.matching.consistency import Agreement
 from stereo_ore.matching.region import default_disparities
-from stereo_ore.types import CUES, F32, U8, Disparity, RectifiedPair, Region, Rig
+from stereo_ore.types import F32, PIXEL_CUES, U8, Disparity, RectifiedPair, Region, Rig
 
 BRIGHTNESS_STEP = 4
 """Every such row tells the ratio of the eyes' brightness."""
@@ -34,7 +34,7 @@ def match(pair: RectifiedPair, region: Region, config: MatchingConfig) -> Dispar
     -------
     Disparity
         Full-image values [px], the calibration's correction added, NaN outside the region and where nothing reliable
-        was found; cues for each pixel of the region, 0 elsewhere; counts of what each step left.
+        was found; cues for each pixel of the region; counts of what each step left.
     """
     images = sgbm.crop(grey(pair.left), grey(pair.right), region)
     found = consistency.match_both(images, config)
@@ -44,10 +44,12 @@ def match(pair: RectifiedPair, region: Region, config: MatchingConfig) -> Dispar
 
 
 def _finish(images: sgbm.Crop, found: Agreement, rig: Rig) -> tuple[F32, dict[str, F32]]:
-    """Refined disparities and cues of the whole image."""
+    """Refined disparities of the whole image, and cues of the region."""
     region = images.region
-    values = _frame(rig, region, np.nan)
-    doubts = {name: _frame(rig, region, 0) for name in CUES}
+    values = np.full((rig.height, rig.width), np.nan, np.float32)
+    # One block: memory for many images costs more time to get than to fill.
+    block = np.empty((len(PIXEL_CUES), *found.left.shape), np.float32)
+    doubts = dict(zip(PIXEL_CUES, block, strict=True))
     offset = np.float32(region.min_disparity + rig.disparity_offset_px)
     every = slice(None, None, BRIGHTNESS_STEP)
     sparse = found.rows(every)
@@ -60,20 +62,10 @@ def _finish(images: sgbm.Crop, found: Agreement, rig: Rig) -> tuple[F32, dict[st
         target = (slice(region.y0 + band.start, region.y0 + band.stop), region.slices[1])
         values[target] = np.where(part.valid[core], refined.values[core] + offset, np.float32(np.nan))
         for name, cue in cues.compute(part, matched, around, refined.residual).items():
-            doubts[name][target] = cue[core]
+            doubts[name][band] = cue[core]
 
     in_bands(len(found.left), cues.REACH_PX, refine)
-    for name, cue in relief.compute(values[region.slices], found.valid).items():
-        doubts[name][region.slices] = cue
-    return values, doubts
-
-
-def _frame(rig: Rig, region: Region, value: float) -> F32:
-    """An image (H, W) of one value around a region, whose pixels are still to be written."""
-    image = np.empty((rig.height, rig.width), np.float32)
-    image[: region.y0] = image[region.y1 :] = value
-    image[:, : region.x0] = image[:, region.x1 :] = value
-    return image
+    return values, doubts | relief.compute(values[region.slices], found.valid)
 
 
 def grey(image: U8) -> U8:

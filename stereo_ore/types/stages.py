@@ -42,7 +42,8 @@ class RectifiedPair:
 class Disparity:
     """Left-to-right disparity, (H, W) float32 [px], NaN where there is none, with the matcher's doubts.
 
-    `cues` maps names of `CUES` to (H, W) float32 arrays (any subset); `diagnostics` are counts and settings used.
+    `cues` maps names of `CUES` to (h, w) float32 arrays of the region's pixels (any subset); `diagnostics` are counts
+    and settings used.
     """
 
     values: F32
@@ -53,7 +54,7 @@ class Disparity:
     def __post_init__(self) -> None:
         check_shape(self, "values", self.values, None, None)
         for name, cue in self.cues.items():
-            check_shape(self, f"cues[{name!r}]", cue, *self.values.shape)
+            check_shape(self, f"cues[{name!r}]", cue, *self.values[self.region.slices].shape)
 
 
 @dataclass(frozen=True)
