@@ -60,8 +60,11 @@ def voxelise(cloud: PointCloud, disparity: Disparity, rig: Rig, size_m: float) -
     along = np.ascontiguousarray(cloud.xyz.T)
     inverse, count = _group(_keys(along, size_m))
 
+    # Of another type they would be converted for every sum.
+    cells = inverse.astype(np.intp)
+
     def mean(values: npt.NDArray[np.floating]) -> F32:
-        return (np.bincount(inverse, values, len(count)) / count).astype(np.float32)
+        return (np.bincount(cells, values, len(count)) / count).astype(np.float32)
 
     region = disparity.region
     v, u = np.divmod(cloud.pixel, np.int32(cloud.image_shape[1]))

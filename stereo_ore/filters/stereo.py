@@ -17,7 +17,7 @@ FLOORS = {"spread_px": 0.05, "lr_diff_px": 0.03, "texture": 0.3, "photometric": 
 DISPARITY_STRETCH = 0.3
 """Image space [px]: one standard deviation of depth noise counts as this many pixels across."""
 
-SURE = 0.02
+SURE = 0.12
 """Below this probability of either verdict a first pass by cues alone is believed."""
 
 
