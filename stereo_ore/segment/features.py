@@ -169,7 +169,7 @@ def part_features(scene: Scene, labels: I32) -> F64:
     )
 
 
-def _sums(labels: I32, values: F32, at: I64, count: int) -> F64:
+def _sums(labels: npt.NDArray[np.intp], values: F32, at: I64, count: int) -> F64:
     """Sums (count,) over each label of the values at flat indices, whose labels these are."""
     return np.asarray(np.bincount(labels, values.ravel()[at], count))
 
