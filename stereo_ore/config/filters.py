@@ -52,7 +52,7 @@ class PaperParams(StageConfig):
 class AdaptiveParams(StageConfig):
     """Adaptive-K density, residual to the local surface, and the matcher's doubts where it hands them on."""
 
-    k: int = param(16, "neighbours", ge=6, le=100)
+    k: int = param(16, "neighbours; the scorers that ship were trained with 16", ge=6, le=100)
     threshold: float | None = param(
         None, "noise probability above which a point is removed; null: the scorer's own", gt=0, lt=1
     )

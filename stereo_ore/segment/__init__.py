@@ -65,7 +65,7 @@ def segment(
         The screen; its bars, when known, tell steel from ore between bars.
     volume : Volume or None
         The working volume that the surface was cropped to. Without one, what lies more than an opening beside the
-        screen is no ore.
+        screen, or wholly beside it, is no ore.
     config : SegmentConfig
         Thresholds.
     weights : Weights or None
@@ -82,6 +82,8 @@ def segment(
     labels = np.zeros(view.mask.shape, np.int32)
     counts = dict.fromkeys(("parts", "dropped_small", "dropped_unlike"), 0)
     for box, heap in _heaps(view, config):
+        if volume is None and not (heap.inside[heap.mask] > 0).any():
+            continue
         lumps, tally = _segment_heap(heap, config, models)
         room = (labels[box] == 0) & (lumps > 0)
         labels[box][room] = lumps[room] + labels.max()

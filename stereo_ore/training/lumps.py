@@ -29,11 +29,16 @@ PURE = 0.6
 
 FOLDS = 5
 FIRST_LUMP = 2
+FOLDER_WEIGHT = 4.0
+"""A scene folder counts as so many synthetic scenes: those are there to be many, folders to be like the real thing."""
 
 
 @dataclass(frozen=True)
 class View:
-    """A scene as segmentation is given it, with the true labels (H, W), lumps from 2 on, and those to be found."""
+    """A scene as segmentation is given it, with the true labels (H, W), lumps from 2 on, and those to be found.
+
+    `weight` is what its examples count in training.
+    """
 
     scene: str
     surface: Surface
@@ -41,21 +46,23 @@ class View:
     volume: Volume | None
     instance: I32
     wanted: tuple[int, ...]
+    weight: float = 1.0
 
 
 @dataclass(frozen=True)
 class Examples:
-    """Features (N, F), truths (N,) and weights (N,): a scene counts as the root of its examples."""
+    """Features (N, F), truths (N,) and weights (N,): a scene counts as the root of its examples, times its weight."""
 
     features: F64
     truth: Mask
     weight: F64
 
     @classmethod
-    def of(cls, features: Sequence[F64], truth: Sequence[Mask], width: int) -> Examples:
+    def of(cls, features: Sequence[F64], truth: Sequence[Mask], width: int, weight: float) -> Examples:
         """Gather what was found in parts of one scene; `width` features each."""
         rows = np.concatenate([np.zeros((0, width)), *features])
-        return cls(rows, np.concatenate([np.zeros(0, bool), *truth]), np.full(len(rows), max(len(rows), 1) ** -0.5))
+        each = np.full(len(rows), weight / np.sqrt(max(len(rows), 1)))
+        return cls(rows, np.concatenate([np.zeros(0, bool), *truth]), each)
 
 
 @dataclass(frozen=True)
@@ -91,7 +98,8 @@ def scene_views(folder: Path) -> Iterator[View]:
     truth = evaluate.load_truth(folder)
     calibration, site = load_rig(folder)
     pair = sources.open_source(folder).read(0)
-    yield from _views(folder.name, pair, calibration, site, truth.instance, tuple(truth.wanted))
+    for view in _views(folder.name, pair, calibration, site, truth.instance, tuple(truth.wanted)):
+        yield replace(view, weight=FOLDER_WEIGHT)
 
 
 def _views(
@@ -204,7 +212,7 @@ def _pairs_of(view: View, config: SegmentConfig, rng: np.random.Generator) -> Ex
             for one, other in parts.pairs[chosen[: max(1, len(chosen) // 2)]].tolist():
                 into[into == into[other]] = into[one]
             parts = join(parts, into)
-    return Examples.of(features, truths, len(PAIR_FEATURES))
+    return Examples.of(features, truths, len(PAIR_FEATURES), view.weight)
 
 
 def _parts(view: View, config: SegmentConfig, pair: Logistic) -> Examples:
@@ -217,7 +225,7 @@ def _parts(view: View, config: SegmentConfig, pair: Logistic) -> Examples:
         large = large[large > 0]
         features.append(part_features(heap.scene, labels)[large])
         truths.append(owner[large] >= FIRST_LUMP)
-    return Examples.of(features, truths, len(PART_FEATURES))
+    return Examples.of(features, truths, len(PART_FEATURES), view.weight)
 
 
 @dataclass(frozen=True)
