@@ -17,6 +17,8 @@ __all__ = ["METHOD", "solids"]
 METHOD = "grounded hull corrected by a shape prior"
 FARTHEST, LARGEST = 1.5, 2.5
 """Bounds of the correction: shift of the centre over the lump's size, logarithm of the volume's ratio."""
+OUTLINE_FACTOR = 1.3
+"""The fit's residuals are those of true or nearly true outlines; those of the whole program are so much wider."""
 
 
 def solids(surface: Surface, ore_map: OreMap, grizzly: Grizzly, config: SolidConfig) -> tuple[Solid | None, ...]:
@@ -83,7 +85,7 @@ def _solid(sight: Sight, cues: Cues, opening_m: float | None, cut: bool, config:
 
 def _sigma(sight: Sight, estimate: Estimate, cut: bool, config: SolidConfig) -> F64:
     """Standard deviation (3,) [m] along the camera's axes: the model's error, and a bias common to all disparities."""
-    model = np.array([estimate.sigma[axis] for axis in "xyz"]) * sight.size * (2.0 if cut else 1.0)
+    model = np.array([estimate.sigma[axis] for axis in "xyz"]) * sight.size * OUTLINE_FACTOR * (2.0 if cut else 1.0)
     bias = sight.sigma_z * config.bias_share * sight.view
     variance = (model**2) @ sight.axes**2 + (bias @ sight.axes) ** 2
     return np.asarray(np.sqrt(variance))
