@@ -77,8 +77,9 @@ def gather(xyz: F32, k: int) -> BareEvidence:
     The first noise probability is 1 − min(1, (s/d(8))³).
     """
     neighbours = search(xyz, k)
-    spacing = max(float(np.quantile(mean_distances(neighbours.distance)[:, 1], 0.2)), float(np.finfo(np.float32).tiny))
-    density = _density(neighbours, spacing)
+    means = mean_distances(neighbours.distance)
+    spacing = max(float(np.quantile(means[:, 1], 0.2)), float(np.finfo(np.float32).tiny))
+    density = _density(neighbours, means / np.float32(spacing))
     prior = 1 - np.minimum(1, np.exp(-3 * density[:, 1]))
     points = columns((xyz - np.median(xyz, axis=0)) / spacing)
     return BareEvidence(points, neighbours.index, density, prior)
@@ -94,9 +95,10 @@ def mean_of(values: F32, index: Index) -> F32:
     return map_rows(lambda rows: values.take(by_neighbour(index, rows)).mean(0), len(index))
 
 
-def _density(neighbours: Neighbours, spacing: float) -> F32:
+def _density(neighbours: Neighbours, means: F32) -> F32:
+    """Density features (M, 8) from mean distances (M, 3) in spacings."""
     index = neighbours.index
-    own = np.log(mean_distances(neighbours.distance) / np.float32(spacing) + np.float32(LEAST))
+    own = np.log(means + np.float32(LEAST))
     chosen = (np.bincount(index.ravel("K"), minlength=len(index)) / neighbours.k).astype(np.float32)
 
     def around(rows: slice) -> F32:
