@@ -9,7 +9,7 @@ from typing import Any
 
 from stereo_ore.config.models import MAX_PIXELS
 from stereo_ore.errors import FrameError, SourceError
-from stereo_ore.sources.images import check_alike, is_image, read_image, to_8_bit
+from stereo_ore.sources.images import check_alike, is_image, read_both, to_8_bit
 from stereo_ore.sources.names import frame_names, name_stamp, natural_key, split_name
 from stereo_ore.sources.side_by_side import SideBySideImages
 from stereo_ore.types import StereoCalibration, StereoPair
@@ -48,7 +48,7 @@ class ImagePairs:
                 file=left or right,
                 remedy="Frames are paired by name, never by position",
             )
-        images = read_image(left, self.max_pixels), read_image(right, self.max_pixels)
+        images = read_both(left, right, self.max_pixels)
         check_alike(*images, left, right.name)
         return StereoPair(self.names[index], index, *to_8_bit(*images), stamp_ns=name_stamp(self.names[index]))
 

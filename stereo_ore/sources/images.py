@@ -14,6 +14,7 @@ from stereo_ore.config.models import MAX_PIXELS
 from stereo_ore.errors import FrameError
 from stereo_ore.sources.image_header import claimed_size
 from stereo_ore.sources.quiet import overheard
+from stereo_ore.threads import pool
 from stereo_ore.types import U8
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
@@ -40,6 +41,23 @@ def read_image(path: Path, max_pixels: int = MAX_PIXELS) -> Image:
     FrameError
         When the file is missing, empty, cut off, damaged, too large, or no image.
     """
+    return decode_image(_bytes_of(path, max_pixels), path, max_pixels)
+
+
+def read_both(left: Path, right: Path, max_pixels: int = MAX_PIXELS) -> tuple[Image, Image]:
+    """Both eyes' files as `read_image`, decoded side by side, which takes half the time."""
+    files = (left, _bytes_of(left, max_pixels)), (right, _bytes_of(right, max_pixels))
+    for path, data in files:
+        _check(path, data, max_pixels)
+    images, complaints = overheard(lambda: list(pool().map(_decode, [data for _, data in files])))
+    if complaints or any(image is None for image in images):
+        # One after the other, to hear whose they are.
+        images = [decode_image(data, path, max_pixels) for path, data in files]
+    one, other = (_usable(image, path) for image, (path, _) in zip(images, files, strict=True))
+    return one, other
+
+
+def _bytes_of(path: Path, max_pixels: int) -> bytes:
     most = BYTES_PER_PIXEL * max_pixels + HEADER_BYTES
     try:
         if not path.is_file() and path.exists():
@@ -51,17 +69,27 @@ def read_image(path: Path, max_pixels: int = MAX_PIXELS) -> Image:
     if len(data) > most:
         problem = f"has more than {most:,} bytes, which no image of {max_pixels:,} pixels has"
         raise FrameError(problem, code="IMAGE_TOO_LARGE", file=path, remedy="Record or copy it again")
-    return decode_image(data, path, max_pixels)
+    return data
 
 
 def decode_image(data: bytes, path: Path, max_pixels: int = MAX_PIXELS) -> Image:
     """Decode the bytes of an image file; as `read_image`. `path` is for messages."""
+    _check(path, data, max_pixels)
+    image, complaints = overheard(lambda: _decode(data))
+    return _usable(None if _DAMAGE.search(complaints) else image, path)
+
+
+def _check(path: Path, data: bytes, max_pixels: int) -> None:
+    """Refuse what need not be decoded to be known as damaged or too large."""
     if not data:
         raise FrameError("is empty", code="UNREADABLE_IMAGE", file=path, remedy="Record or copy it again")
     _check_complete(path, data)
     _check_claim(path, data, max_pixels)
-    image, complaints = overheard(lambda: _decode(data))
-    if image is None or _DAMAGE.search(complaints):
+
+
+def _usable(image: Image | None, path: Path) -> Image:
+    """What was decoded, if it was, as BGR."""
+    if image is None:
         raise FrameError(
             "can't be decoded as an image", code="UNREADABLE_IMAGE", file=path, remedy="Record or copy it again"
         )
