@@ -117,7 +117,7 @@ def test_a_floor_without_bars_is_no_screen(site):
 
 
 def test_bars_as_rough_as_their_gaps_need_a_description():
-    noise_px = 0.5
+    noise_px = 0.8
     surface, _ = draw(Screen(noise_px=noise_px))
     rough = replace(surface, sigma_z=surface.sigma_z * np.float32(noise_px / 0.15))
     assert grizzly.find(rough, KNOWN, CONFIG).opening_m == OPENING

@@ -51,7 +51,7 @@ def _measured(sample: Sample, site: Site, plane: Plane) -> Grizzly:
         return _grizzly(plane, "site", None, site, {"points": len(sample)})
     # Shiny bars are measured a little off; they are found in the plane that the cloud has near the site's.
     near = refine(sample, plane, BarFit(None, 0.0))
-    fit = fit_bars(sample, near, site.opening_m, site.bar_width_m)
+    fit = fit_bars(sample, near, site.opening_m, site.bar_width_m, sharp=True)
     rms, inliers = residual(sample, plane, fit)
     other = refine(sample, near, fit)
     tilt = float(np.arccos(np.clip(other.normal @ plane.normal, -1, 1)))
@@ -65,8 +65,9 @@ def _measured(sample: Sample, site: Site, plane: Plane) -> Grizzly:
 def _found(sample: Sample, site: Site, config: GrizzlyConfig) -> Grizzly:
     """The candidate plane that is widest and most clearly cut into bars."""
     best: tuple[float, Plane, BarFit] | None = None
-    for plane, area in candidate_planes(sample, config):
-        fit = fit_bars(sample, plane, site.opening_m, site.bar_width_m)
+    for candidate, area in candidate_planes(sample, config):
+        plane = refine(sample, candidate, fit_bars(sample, candidate, site.opening_m, site.bar_width_m))
+        fit = fit_bars(sample, plane, site.opening_m, site.bar_width_m, sharp=True)
         score = area * fit.contrast
         if _is_screen(sample, plane, fit, site, config) and (best is None or score > best[0]):
             best = score, plane, fit
@@ -78,7 +79,7 @@ def _found(sample: Sample, site: Site, config: GrizzlyConfig) -> Grizzly:
         )
     for _ in range(config.refinements):
         plane = refine(sample, best[1], best[2])
-        best = best[0], plane, fit_bars(sample, plane, site.opening_m, site.bar_width_m)
+        best = best[0], plane, fit_bars(sample, plane, site.opening_m, site.bar_width_m, sharp=True)
     _, plane, fit = best
     rms, inliers = residual(sample, plane, fit)
     return _grizzly(plane, "auto", rms, site, {"inlier_share": inliers}, fit)

@@ -24,6 +24,8 @@ AROUND = 0.1
 """Margin kept around what one sees through, of its extent."""
 LEAST_SEEN = 8
 """Points that a bar or a gap must have to be judged."""
+ROUGH, SHARP = (1.0, 2.0), (0.3, 1.0)
+"""Within the first of these of a plane [inlier distances] it is solid, beneath the second it is open."""
 MIN_DUTY, MAX_DUTY = 0.08, 0.6
 
 
@@ -44,7 +46,9 @@ class BarFit:
         return np.asarray(from_centre < self.bars.width_m / 2)
 
 
-def fit_bars(sample: Sample, plane: Plane, opening_m: float | None, bar_width_m: float | None) -> BarFit:
+def fit_bars(
+    sample: Sample, plane: Plane, opening_m: float | None, bar_width_m: float | None, sharp: bool = False
+) -> BarFit:
     """Bars of a plane.
 
     Each pixel's ray is cut with the plane: where the point seen lies on the plane the plane is solid there (+1), where
@@ -59,8 +63,10 @@ def fit_bars(sample: Sample, plane: Plane, opening_m: float | None, bar_width_m:
         Plane of the bar tops.
     opening_m, bar_width_m : float or None
         Known clear distance and bar width [m]; both together fix the pitch and the width.
+    sharp : bool
+        The plane has been refined: what lies a little beneath it is a bar's side face, or smeared off its edge.
     """
-    q, signal, axes = _rays_in_plane(sample, plane)
+    q, signal, axes = _rays_in_plane(sample, plane, SHARP if sharp else ROUGH)
     q, signal = _around_open(q, signal)
     if len(q) < PHASES or signal.min() > 0 or signal.max() < 0:
         return BarFit(None, 0.0)
@@ -90,12 +96,13 @@ def _seen(position: F64, signal: F64, pitch: float, phase: float, on_bar: Mask) 
     return int(((means[0] > 0.3) & (means[1] < -0.3)).sum())
 
 
-def _rays_in_plane(sample: Sample, plane: Plane) -> tuple[F64, F64, F64]:
+def _rays_in_plane(sample: Sample, plane: Plane, limits: tuple[float, float]) -> tuple[F64, F64, F64]:
     """Where each ray meets the plane (N, 2) [m], solid +1 or open −1 (N,), and the plane's axes (2, 3)."""
     height = plane.height(sample.xyz)
-    known = (height < sample.tolerance) & ((height > -sample.tolerance) | (height < -2 * sample.tolerance))
+    solid, open_ = (limit * sample.tolerance for limit in limits)
+    known = (np.abs(height) < solid) | (height < -open_)
     xyz, height = sample.xyz[known], height[known]
-    signal = np.where(height > -sample.tolerance[known], 1.0, -1.0)
+    signal = np.where(height > -solid[known], 1.0, -1.0)
     hit = xyz * (plane.offset / (height + plane.offset))[:, None]
     x = np.array([1.0, 0, 0]) - plane.normal[0] * plane.normal
     x /= np.linalg.norm(x)
