@@ -108,9 +108,9 @@ def _train_segment(_kind: str, seeds: range, scenes: list[Path]) -> str:
 
     sources = [*(partial(lumps.scene_views, s) for s in scenes), *(partial(lumps.made_views, n) for n in seeds)]
     views = [view for source in _watched(iter(sources), len(sources), "scenes") for view in source()]
-    config = SegmentConfig()
-    log.info("on unseen scenes: %s", lumps.cross_validate(views, config))
-    return lumps.train(views, config).to_json()
+    weights, quality = lumps.train(views, SegmentConfig())
+    log.info("on unseen scenes: %s", quality)
+    return weights.to_json()
 
 
 def _watched(items: Iterator[Item], total: int, what: str) -> Iterator[Item]:

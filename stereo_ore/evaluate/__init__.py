@@ -3,6 +3,6 @@
 from stereo_ore.evaluate.pairs import Pair, find_pairs
 from stereo_ore.evaluate.score import score
 from stereo_ore.evaluate.summary import pool, table
-from stereo_ore.evaluate.truth import MIN_PIXELS, MIN_VISIBLE, Truth, load_truth
+from stereo_ore.evaluate.truth import Truth, load_truth, must_be_found
 
-__all__ = ["MIN_PIXELS", "MIN_VISIBLE", "Pair", "Truth", "find_pairs", "load_truth", "pool", "score", "table"]
+__all__ = ["Pair", "Truth", "find_pairs", "load_truth", "must_be_found", "pool", "score", "table"]

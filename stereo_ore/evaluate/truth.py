@@ -14,7 +14,12 @@ from stereo_ore.npz_io import load_arrays
 from stereo_ore.types import F64, I32
 
 MIN_PIXELS, MIN_VISIBLE = 400, 0.3
-"""Lumps that show fewer pixels or a smaller share of themselves, or that the image border cuts, need not be found."""
+"""Lumps that show fewer pixels, or a smaller share of themselves, need not be found."""
+
+
+def must_be_found(visible_pixels: int, visible_fraction: float, cut: bool) -> bool:
+    """Whether a lump counts: enough of it is seen, and the image border does not cut it."""
+    return visible_pixels >= MIN_PIXELS and visible_fraction >= MIN_VISIBLE and not cut
 
 
 @dataclass(frozen=True)
@@ -45,9 +50,7 @@ class Truth:
         return [
             id_
             for id_, lump in self.lumps.items()
-            if lump["visible_pixels"] >= MIN_PIXELS
-            and lump["visible_fraction"] >= MIN_VISIBLE
-            and not lump["cut_by_image_border"]
+            if must_be_found(lump["visible_pixels"], lump["visible_fraction"], lump["cut_by_image_border"])
         ]
 
     def centre(self, id_: int) -> F64:

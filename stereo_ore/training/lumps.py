@@ -17,18 +17,21 @@ from stereo_ore.segment.features import join, measure, pair_features, part_featu
 from stereo_ore.segment.merge import merge_parts
 from stereo_ore.segment.outline import filled
 from stereo_ore.segment.weights import PAIR_FEATURES, PART_FEATURES, Logistic, Weights
+from stereo_ore.synth.model import FIRST_LUMP
 from stereo_ore.types import F64, I32, Grizzly, Mask, Site, StereoCalibration, StereoPair, Surface, Volume
 
 THRESHOLDS = (None, 0.25, 0.5)
 """Noise probabilities of the filter at which each scene is seen; None: the filter's own, with a screen given by the
-site and with one found."""
+site, with one whose bars alone are given, and with one found."""
 
 FAMILIES = ("large", "paper", "hard", "large", "raw", "empty")
+SIZES = ("HD720", "VGA", "HD720", "VGA", "HD1080")
+CROWD = 8
+"""Lumps at least on a crowded screen, of which there are three in seven: more of them touch."""
 PURE = 0.6
 """Share of a part that must belong to one lump, or to none, for the part to be an example."""
 
 FOLDS = 5
-FIRST_LUMP = 2
 FOLDER_WEIGHT = 4.0
 """A scene folder counts as so many synthetic scenes: those are there to be many, folders to be like the real thing."""
 
@@ -81,14 +84,15 @@ class Quality:
 
 
 def made_views(seed: int) -> Iterator[View]:
-    """Views of a synthetic scene; consecutive seeds take families in turn."""
-    made = synth.scene(seed, FAMILIES[seed % len(FAMILIES)], "HD1080" if seed % 7 == 6 else "HD720")
+    """Views of a synthetic scene; consecutive seeds take families and image sizes in turn."""
+    spec = synth.sample_spec(seed, FAMILIES[seed % len(FAMILIES)], SIZES[seed % len(SIZES)])
+    if spec.lumps and seed % 7 < 3:
+        spec = replace(spec, lumps=CROWD + seed % CROWD)
+    made = synth.scene(spec)
     wanted = tuple(
         lump.id
         for lump in made.lumps
-        if lump.visible_pixels_rectified >= evaluate.MIN_PIXELS
-        and lump.visible_fraction >= evaluate.MIN_VISIBLE
-        and not lump.cut
+        if evaluate.must_be_found(lump.visible_pixels_rectified, lump.visible_fraction, lump.cut)
     )
     yield from _views(made.spec.name, made.pair, made.calibration, made.site, made.instance, wanted)
 
@@ -105,27 +109,30 @@ def scene_views(folder: Path) -> Iterator[View]:
 def _views(
     name: str, pair: StereoPair, calibration: StereoCalibration, site: Site, instance: I32, wanted: tuple[int, ...]
 ) -> Iterator[View]:
-    unknown = replace(site, plane=None, opening_m=None, bar_width_m=None)
+    bars_known = replace(site, plane=None)
+    places = site, bars_known, replace(bars_known, opening_m=None, bar_width_m=None)
     for threshold in THRESHOLDS:
         params = {} if threshold is None else {"threshold": threshold}
-        for place in (site,) if params else (site, unknown):
+        for place in places[:1] if params else places:
             context = pipeline.make_context(calibration, place, Config(filter=FilterConfig(params=params)))
             result = pipeline.process(pair, context)
             if result.surface is not None and result.grizzly is not None:
                 yield View(name, result.surface, result.grizzly, place.volume, instance, wanted)
 
 
-def train(views: Sequence[View], config: SegmentConfig, seed: int = 0) -> Weights:
+def train(views: Sequence[View], config: SegmentConfig, seed: int = 0) -> tuple[Weights, Quality]:
     """Fit both models: pairs of parts that are one lump, then merged parts that are a lump.
 
-    The second model sees parts merged by pair models that did not see their scene, as it will on new scenes.
+    The second model sees parts merged by pair models that did not see their scene, as it will on new scenes. The
+    quality is that on scenes that neither model saw, in `FOLDS` folds by scene.
     """
-    return _fitted(_pairs(views, config, seed), _folds(views), views, config)
-
-
-def cross_validate(views: Sequence[View], config: SegmentConfig, seed: int = 0) -> Quality:
-    """Quality on views whose scenes the models did not see, in `FOLDS` folds by scene."""
     fold, pairs = _folds(views), _pairs(views, config, seed)
+    return _fitted(pairs, fold, views, config), _cross_validated(pairs, fold, views, config)
+
+
+def _cross_validated(
+    pairs: Sequence[Examples], fold: npt.NDArray[np.intp], views: Sequence[View], config: SegmentConfig
+) -> Quality:
     found = []
     for k in range(FOLDS):
         seen, held = np.flatnonzero(fold != k).tolist(), np.flatnonzero(fold == k).tolist()
