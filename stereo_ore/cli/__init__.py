@@ -62,9 +62,8 @@ def main(
     --out out`
     """
     level = logging.WARNING if quiet else (logging.INFO, logging.DEBUG)[min(verbose, 1)]
-    logging.basicConfig(level=level, format="%(message)s", stream=sys.stderr, force=True)
-    for chatty in ("matplotlib", "asyncio", "asyncua", "numba"):
-        logging.getLogger(chatty).setLevel(logging.WARNING)
+    logging.basicConfig(format="%(message)s", stream=sys.stderr, force=True)
+    logging.getLogger("stereo_ore").setLevel(level)
     os.environ["STEREO_ORE_DEBUG"] = "1" if debug else ""
 
 
