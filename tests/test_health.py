@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from screens import DISTANCE, Screen, draw
 
 from stereo_ore.config import GrizzlyConfig, HealthConfig
-from stereo_ore.health import eye_doubts, eyes, screen_doubts
+from stereo_ore.health import eye_doubts, rows, screen_doubts
 from stereo_ore.health.history import Watch
 from stereo_ore.sinks.run_folder import FrameLines
 from stereo_ore.types import Disparity, Plane, RectifiedPair, Region
@@ -78,7 +78,7 @@ def pair_of(flat: Any, shift_rows: int = 0) -> tuple[RectifiedPair, Disparity]:
 
 def rows_of(pair: RectifiedPair, disparity: Disparity) -> float:
     left, right = (cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.uint8) for image in (pair.left, pair.right))
-    return eyes.row_shift(left, right, disparity, pair.rig.disparity_offset_px)
+    return rows.row_shift(left, right, disparity, pair.rig.disparity_offset_px)
 
 
 def codes(pair: RectifiedPair, disparity: Disparity) -> list[str]:

@@ -158,7 +158,7 @@ class HealthConfig(StageConfig):
 
     min_disparity_share: float = param(0.2, "share of the pixels searched that must have a disparity", ge=0, lt=1)
     max_spread_px: float = param(0.15, "median difference of neighbouring disparities that eyes which agree have", "px")
-    max_row_shift_px: float = param(0.12, "row difference of the eyes that is left where they were matched", "px", gt=0)
+    max_row_shift_rad: float = param(0.00025, "row difference of the matched eyes, over the focal length", "rad", gt=0)
     min_brightness: float = param(24, "grey level that 5 % of the pixels reach, in the darker eye", ge=0, le=255)
     min_fine_detail: float = param(0.014, "energy of the finest detail in both eyes, over that of coarse detail", ge=0)
     max_screen_offset: float = param(
