@@ -137,6 +137,7 @@ FAULTS: dict[str, Fault] = {
     "the same eye twice": _images(lambda left, right: (left, left)),
     "right eye upside down": _images(lambda left, right: (left, right[::-1, ::-1])),
     "right eye 2 rows lower": _images(lambda left, right: (left, np.roll(right, 2, 0))),
+    "right eye 6 rows lower": _images(lambda left, right: (left, np.roll(right, 6, 0))),
     "frozen": lambda case: replace(case, frames=(case.frames[-1],) * 2),
     "right column + 1 px": _right_column(1.0),
     "right column − 1 px": _right_column(-1.0),
