@@ -66,3 +66,30 @@ def test_a_covered_eye_fails(covered: str, context: pipeline.Context, left: U8, 
     result = pipeline.process(StereoPair("0", 0, eyes["left"], eyes["right"]), context)
     assert result.status == "failed"
     assert result.targets == ()
+
+
+def turned(image: U8, focal_px: float, angles: tuple[float, float, float]) -> U8:
+    """What an eye would see if it were turned by small angles [rad] about its axes."""
+    height, width = image.shape[:2]
+    K = np.array([[focal_px, 0, width / 2], [0, focal_px, height / 2], [0, 0, 1]])
+    H = K @ np.asarray(cv2.Rodrigues(np.array(angles))[0]) @ np.linalg.inv(K)
+    return np.asarray(cv2.warpPerspective(image, H, (width, height), flags=cv2.INTER_CUBIC, borderMode=1), np.uint8)
+
+
+@pytest.mark.parametrize("angles_mrad", [(0.5, 0, 0), (-0.5, 0, 0), (0, 0, 1.5), (0, 0, -1.5)])
+def test_a_calibration_that_is_off_by_little_is_told(
+    angles_mrad: tuple[float, float, float], context: pipeline.Context, left: U8, right: U8
+) -> None:
+    """About a quarter of a pixel: the matcher follows it, and the screen stays where it is."""
+    wrong = turned(right, context.rectifier.rig.fx, tuple(a / 1000 for a in angles_mrad))
+    result = pipeline.process(StereoPair("0", 0, left, wrong), context)
+    assert "ROWS_DISAGREE" in [reason.code for reason in result.reasons]
+    assert result.targets == ()
+
+
+@pytest.mark.parametrize("rows", [-9, -4, 2, 6])
+def test_rows_far_apart_are_told(rows: int, context: pipeline.Context, left: U8, right: U8) -> None:
+    """Bars along the columns match under any shift of rows."""
+    result = pipeline.process(StereoPair("0", 0, left, np.roll(right, rows, axis=0)), context)
+    assert "ROWS_DISAGREE" in [reason.code for reason in result.reasons]
+    assert result.targets == ()

@@ -68,9 +68,15 @@ def test_a_screen_that_is_not_seen_is_not_judged() -> None:
     assert not told(screen, screen.plane)
 
 
-def pair_of(flat: Any, shift_rows: int = 0) -> tuple[RectifiedPair, Disparity]:
+def pair_of(flat: Any, turn: tuple[float, float, float] = (1, 0, 0)) -> tuple[RectifiedPair, Disparity]:
+    """The pair with the right eye's rows scaled, sheared and shifted: v' = a·v + b·(u − middle) + c."""
     height, width = flat.disparity.shape
-    pair = replace(flat.pair, right=np.roll(flat.pair.right, shift_rows, 0))
+    a, b, c = turn
+    matrix = np.array([[1, 0, 0], [b, a, c + (1 - a) * height / 2 - b * width / 2]], float)
+    right = cv2.warpAffine(
+        flat.pair.right, matrix, (width, height), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT
+    )
+    pair = replace(flat.pair, right=right)
     values = flat.disparity.copy()
     cues = {"spread_px": np.zeros_like(values)}
     return pair, Disparity(values, Region(0, 0, width, height, 0, 64), cues)
@@ -87,15 +93,41 @@ def codes(pair: RectifiedPair, disparity: Disparity) -> list[str]:
 
 def test_aligned_rows_are_not_told(flat_plane_pair: Any) -> None:
     pair, disparity = pair_of(flat_plane_pair)
-    assert rows_of(pair, disparity) < 0.03
+    assert rows_of(pair, disparity) < 0.01
     assert codes(pair, disparity) == []
 
 
-@pytest.mark.parametrize("rows", [-1, 1])
-def test_a_shift_of_a_row_is_measured_and_told(flat_plane_pair: Any, rows: int) -> None:
-    pair, disparity = pair_of(flat_plane_pair, rows)
-    assert 0.5 < rows_of(pair, disparity) < 1.5
+@pytest.mark.parametrize("shift_px", [-8, -6, -3, -2, -1, -0.5, 0.1, 0.25, 1, 2, 4, 7])
+def test_a_row_shift_is_measured_and_told(flat_plane_pair: Any, shift_px: float) -> None:
+    pair, disparity = pair_of(flat_plane_pair, (1, 0, shift_px))
+    assert 0.9 < rows_of(pair, disparity) / abs(shift_px) < 1.5
     assert "ROWS_DISAGREE" in codes(pair, disparity)
+
+
+@pytest.mark.parametrize(("scale", "shear"), [(1.002, 0), (1, 0.001), (1, -0.003), (1.001, 0.001)])
+def test_a_turned_or_scaled_eye_is_measured_and_told(flat_plane_pair: Any, scale: float, shear: float) -> None:
+    """Their mean row difference is zero."""
+    pair, disparity = pair_of(flat_plane_pair, (scale, shear, 0))
+    height, width = disparity.values.shape
+    rms = np.hypot((scale - 1) * height, shear * width) / np.sqrt(12)
+    assert 0.9 < rows_of(pair, disparity) / rms < 1.5
+    assert "ROWS_DISAGREE" in codes(pair, disparity)
+
+
+def test_noise_is_no_row_shift(flat_plane_pair: Any) -> None:
+    pair, disparity = pair_of(flat_plane_pair)
+    noise = np.random.default_rng(1).normal(0, 12, (2, *pair.left.shape))
+    left, right = (
+        np.clip(eye + n, 0, 255).astype(np.uint8) for eye, n in zip((pair.left, pair.right), noise, strict=True)
+    )
+    assert rows_of(replace(pair, left=left, right=right), disparity) < 0.02
+
+
+@pytest.mark.parametrize("size", [(2, 2), (9, 400), (300, 7), (16, 16), (40, 40)])
+def test_rows_of_little_are_unknown(flat_plane_pair: Any, size: tuple[int, int]) -> None:
+    pair, disparity = pair_of(flat_plane_pair)
+    region = Region(80, 0, 80 + size[1], size[0], 0, 64)
+    assert rows_of(pair, Disparity(disparity.values, region, {})) == 0
 
 
 def test_a_correction_of_the_calibration_moves_no_pixel(flat_plane_pair: Any) -> None:
