@@ -28,10 +28,13 @@ ROUNDS, OUTLIER, ALIKE = 8, 2.0, 10
 """Rounds of reweighting; a residual of so many standard deviations counts a quarter; so many windows, which overlap or
 lie on one edge, err alike."""
 
-FAR_PX = 1.5
+FAR_PX = 1.0
 """Row differences from which on the matcher is misled, so that patches are looked for in other rows as well."""
 PATCHES, PATCH_PX, ROWS_PX, WIDTH_PX = 12, 15, 8, 672
 """So many patches a strip, of this side, are looked for so far up and down, in images of about this width."""
+FEWEST_PATCHES, PEAK_PX, CLEARER = 6, 2, 0.7
+"""Patches needed for a median. One counts where its unlikeness [1 − correlation] is so much less than any farther from
+its row than this: along a bar all rows look alike."""
 
 
 @dataclass(frozen=True)
@@ -190,14 +193,19 @@ def _far_shift(left: U8, right: U8, patches: F64, region: Region) -> float:
         area = other[max(v - rows, 0) : v + rows + 1, max(u - half - nearest, 0) : max(u + half + 1 - farthest, 0)]
         if v < rows or len(area) < 2 * rows + 1 or patch.shape[1] > area.shape[1] or patch.shape[1] < PATCH_PX:
             continue
-        found.append(_row_of_peak(np.asarray(cv2.matchTemplate(area, patch, cv2.TM_CCOEFF_NORMED), np.float32)))
-    return scale * float(np.median(np.abs(np.array(found) - ROWS_PX))) if found else 0.0
+        likeness = np.asarray(cv2.matchTemplate(area, patch, cv2.TM_CCOEFF_NORMED).max(1), np.float64)
+        if (row := _clear_peak(likeness)) is not None:
+            found.append(row - ROWS_PX)
+    return scale * float(np.median(np.abs(found))) if len(found) >= FEWEST_PATCHES else 0.0
 
 
-def _row_of_peak(likeness: F32) -> float:
-    """Row of the greatest value, to a fraction by a parabola."""
-    row, column = np.unravel_index(int(np.argmax(likeness)), likeness.shape)
-    if not 0 < row < len(likeness) - 1:
-        return float(row)
-    above, peak, below = (float(likeness[row + k, column]) for k in (-1, 0, 1))
-    return float(row) + 0.5 * (above - below) / min(above - 2 * peak + below, -1e-9)
+def _clear_peak(likeness: F64) -> float | None:
+    """Place of the greatest value, to a fraction by a parabola; None where others are almost as great: on a bar."""
+    top = int(np.argmax(likeness))
+    away = np.abs(np.arange(len(likeness)) - top) > PEAK_PX
+    if 1 - likeness[top] > CLEARER * (1 - likeness[away].max()):
+        return None
+    if not 0 < top < len(likeness) - 1:
+        return float(top)
+    above, peak, below = likeness[top - 1 : top + 2]
+    return float(top + 0.5 * (above - below) / min(above - 2 * peak + below, -1e-9))
