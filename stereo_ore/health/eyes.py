@@ -42,7 +42,8 @@ def doubts(pair: RectifiedPair, disparity: Disparity, config: HealthConfig) -> I
         config.max_row_shift_rad * pair.rig.fy,
     )
     if shift > limit:
-        text = f"the rows of the eyes differ by {shift:.2f} px, {limit:.2f} px at most are wanted"
+        wanted = f"{limit:.2f} px at most are wanted (health.max_row_shift_rad)"
+        text = f"the rows of the eyes differ by {shift:.2f} px, {wanted}"
         yield Reason("ROWS_DISAGREE", f"{text}: is the calibration that of this camera? See calibrate check")
     yield from _image_doubts(left, right, disparity, pair.rig.disparity_offset_px, config)
 
