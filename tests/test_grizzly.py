@@ -54,9 +54,18 @@ def test_measures_bars_that_nobody_described(site):
     screen = Screen(tilt=0.2, yaw=0.5, half=0.7, noise_px=0.1)
     found = grizzly.find(draw(screen)[0], site, CONFIG)
     assert_found(found, screen)
-    assert found.opening_m == pytest.approx(OPENING, rel=0.15)
-    assert found.bars.width_m == pytest.approx(WIDTH, rel=0.4)
+    assert found.opening_m == pytest.approx(OPENING, rel=0.02)
+    assert found.bars.width_m == pytest.approx(WIDTH, rel=0.06)
     assert found.diagnostics["bars_seen"] >= 3
+    assert found.diagnostics["bar_width_from"] == "image"
+
+
+def test_bars_that_the_image_does_not_show_are_as_wide_as_depth_says():
+    surface, _ = draw(Screen(tilt=0.2, yaw=0.5, half=0.7, noise_px=0.1))
+    dark = replace(surface, bgr=np.random.default_rng(0).integers(0, 5, surface.bgr.shape).astype(np.uint8))
+    found = grizzly.find(dark, IN_VOLUME, CONFIG)
+    assert found.opening_m == pytest.approx(OPENING, rel=0.25)
+    assert found.diagnostics["bar_width_from"] == "depth"
 
 
 def test_is_not_taken_in_by_a_floor_around():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,8 @@ import numpy as np
 from stereo_ore.config import GrizzlyConfig
 from stereo_ore.errors import FrameError
 from stereo_ore.grizzly.bars import BarFit, fit_bars
-from stereo_ore.grizzly.plane import Sample, candidate_planes, draw_sample, refine, residual
+from stereo_ore.grizzly.edges import sharpened
+from stereo_ore.grizzly.plane import Sample, candidate_planes, draw_sample, refine, residual, tolerances
 from stereo_ore.types import Grizzly, Plane, Site, Surface
 
 __all__ = ["find"]
@@ -40,9 +42,18 @@ def find(surface: Surface, site: Site, config: GrizzlyConfig) -> Grizzly:
         No plane was given, and none in the cloud is cut into bars.
     """
     sample = draw_sample(surface, config)
-    if site.plane is not None:
-        return _measured(sample, site, site.plane)
-    return _found(sample, site, config)
+    found = _found(sample, site, config) if site.plane is None else _measured(sample, site, site.plane)
+    return found if site.bar_width_m is not None else _with_sharp_bars(found, surface, site, config)
+
+
+def _with_sharp_bars(found: Grizzly, surface: Surface, site: Site, config: GrizzlyConfig) -> Grizzly:
+    """The screen with the width that its bars have in the image, where nobody has measured it."""
+    bars = sharpened(surface, found, tolerances(surface.sigma_z, config))
+    diagnostics = {**found.diagnostics, "bar_width_from": "image" if bars else "depth"}
+    if bars is None:
+        return replace(found, diagnostics=diagnostics)
+    opening = site.opening_m or bars.pitch_m - bars.width_m
+    return replace(found, bars=bars, opening_m=opening, diagnostics=diagnostics)
 
 
 def _measured(sample: Sample, site: Site, plane: Plane) -> Grizzly:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
 from stereo_ore.config import GrizzlyConfig
 from stereo_ore.grizzly.bars import BarFit
-from stereo_ore.types import F64, Mask, Plane, Surface
+from stereo_ore.types import F32, F64, Mask, Plane, Surface
+
+Noise = TypeVar("Noise", F32, F64)
 
 SAMPLE = 8_000
 """Points looked at: enough to place a plane to a tenth of the depth noise."""
@@ -36,8 +39,7 @@ class Sample:
 def draw_sample(surface: Surface, config: GrizzlyConfig) -> Sample:
     """Every n-th pixel in both directions, with the distance within which it may lie on a plane.
 
-    The distance is `sigmas` of the depth noise, or the configured constant. The area grows with z², so that near and
-    far parts of an oblique screen weigh the same.
+    The area grows with z², so that near and far parts of an oblique screen weigh the same.
     """
     valid = int(np.isfinite(surface.xyz[..., 2]).sum())
     step = max(1, int(np.sqrt(valid / SAMPLE)))
@@ -45,9 +47,13 @@ def draw_sample(surface: Surface, config: GrizzlyConfig) -> Sample:
     sigma = surface.sigma_z[::step, ::step].reshape(-1).astype(np.float64)
     keep = np.isfinite(xyz[:, 2]) & np.isfinite(sigma)
     xyz, sigma = xyz[keep], sigma[keep]
-    tolerance = np.full(len(xyz), config.distance_m) if config.distance_m else config.sigmas * sigma
     area = (xyz[:, 2] / surface.rig.fx * step) ** 2
-    return Sample(xyz, tolerance, area)
+    return Sample(xyz, tolerances(sigma, config), area)
+
+
+def tolerances(sigma: Noise, config: GrizzlyConfig) -> Noise:
+    """Inlier distance [m] by depth noise [m]: `sigmas` of it, or the configured constant."""
+    return np.full_like(sigma, config.distance_m) if config.distance_m else config.sigmas * sigma
 
 
 def candidate_planes(sample: Sample, config: GrizzlyConfig) -> Iterator[tuple[Plane, float]]:

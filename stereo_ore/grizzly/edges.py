@@ -1,0 +1,102 @@
+"""How wide bars are, from their edges in the image: a matcher smears depth over them by some pixels."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+from stereo_ore.types import F32, F64, Bars, Grizzly, Mask, Surface
+
+BINS, SMOOTHING = 240, 2.0
+"""Bins of a pitch that the image is folded into, and the standard deviation [bins] that the fold is smoothed with."""
+LEAST_OPEN = 100
+"""Pixels that show what is beneath the screen, for a place to be known where bars are."""
+NARROWEST, WIDEST, SHIFT = 0.4, 1.15, 0.3
+"""Widths tried and shifts to either side, in widths that depth says: smeared bars are wider, never narrower."""
+CLEAR = 4.5
+"""Contrast of the two edges over the root mean square of the fold: chance makes at most about four of it."""
+STRONGEST = 20.0
+"""Grey levels a pixel beyond which an edge counts no more: one glint must not outvote a bar."""
+
+
+def sharpened(surface: Surface, grizzly: Grizzly, tolerance: F32) -> Bars | None:
+    """The bars with width and phase by their edges, or None where the image does not show them.
+
+    The slope of the grey image across the bars is folded by their pitch. The two edges of a bar's top lie in the plane,
+    so they fall on one place each and have opposite signs; edges of what lies beneath are spread by perspective.
+
+    Parameters
+    ----------
+    surface : Surface
+        Kept points and colours in the image.
+    grizzly : Grizzly
+        The screen as depth shows it.
+    tolerance : (h, w) float32
+        Distance from the plane within which a point may lie on it [m].
+    """
+    if (bars := grizzly.bars) is None:
+        return None
+    across, along = _in_plane(surface, grizzly, bars)
+    height = grizzly.plane.height(surface.xyz)
+    beneath = height < -tolerance
+    if beneath.sum() < LEAST_OPEN:
+        return None
+    within = _between(across, beneath) & _between(along, beneath) & ~(height > tolerance)
+    fold = _folded(_slope(surface, across)[within], (across[within] - bars.phase_m) / bars.pitch_m)
+    width, middle, contrast = _strongest_pair(fold, bars.width_m / bars.pitch_m)
+    if not contrast > CLEAR * float(np.sqrt(np.mean(fold**2))):
+        return None
+    return replace(bars, width_m=width * bars.pitch_m, phase_m=bars.phase_m + middle * bars.pitch_m)
+
+
+def _in_plane(surface: Surface, grizzly: Grizzly, bars: Bars) -> tuple[F32, F32]:
+    """Where each pixel's ray meets the plane, across and along the bars, (h, w) each [m]."""
+    rig, (height, width) = surface.rig, surface.sigma_z.shape
+    x = ((np.arange(width) + surface.x0 - rig.cx) / rig.fx).astype(np.float32)[None, :]
+    y = ((np.arange(height) + surface.y0 - rig.cy) / rig.fy).astype(np.float32)[:, None]
+
+    def along(axis: F64) -> F32:
+        a, b, c = axis.astype(np.float32)
+        return np.asarray(a * x + b * y + c)
+
+    depth = np.float32(grizzly.plane.offset) / along(grizzly.plane.normal)
+    return along(bars.across) * depth, along(bars.direction) * depth
+
+
+def _between(coordinate: F32, part: Mask) -> Mask:
+    """Where a coordinate lies within the range that nearly all of a part of the image has."""
+    low, high = np.percentile(coordinate[part], (2, 98))
+    return np.asarray((coordinate > low) & (coordinate < high))
+
+
+def _slope(surface: Surface, across: F32) -> F32:
+    """Slope of the grey image in the direction in which `across` grows, (h, w) [grey levels a pixel]."""
+    grey = cv2.GaussianBlur(cv2.cvtColor(surface.bgr, cv2.COLOR_BGR2GRAY).astype(np.float32), (0, 0), 1.0)
+    (grey_x, grey_y), (x, y) = ([cv2.Sobel(image, cv2.CV_32F, i, 1 - i, scale=1 / 8) for i in (1, 0)]
+                                for image in (grey, across))  # fmt: skip
+    slope = (grey_x * x + grey_y * y) / np.maximum(np.hypot(x, y), np.float32(1e-9))
+    return np.asarray(np.clip(slope, -STRONGEST, STRONGEST), np.float32)
+
+
+def _folded(slope: F32, position: F32) -> F64:
+    """Mean slope (BINS,) at each place of a pitch; positions in pitches."""
+    place = np.minimum((position % 1 * BINS).astype(np.intp), BINS - 1)
+    count = np.maximum(np.bincount(place, minlength=BINS), 1)
+    return np.asarray(ndimage.gaussian_filter1d(np.bincount(place, slope, BINS) / count, SMOOTHING, mode="wrap"))
+
+
+def _strongest_pair(fold: F64, about: float) -> tuple[float, float, float]:
+    """Distance and middle [pitches], and contrast, of the strongest two opposite edges near a width of `about`."""
+    steps = about * BINS
+    lengths: npt.NDArray[np.intp] = np.arange(round(NARROWEST * steps), round(WIDEST * steps) + 1)[:, None]
+    middles = np.arange(-round(SHIFT * steps), round(SHIFT * steps) + 1)[None, :]
+    start = middles - lengths // 2
+    contrast = np.abs(fold[start % BINS] - fold[(start + lengths) % BINS])
+    row, column = np.unravel_index(int(contrast.argmax()), contrast.shape)
+    length = int(lengths[row, 0])
+    middle = (int(start[row, column]) + 0.5 * length + 0.5) / BINS
+    return length / BINS, middle, float(contrast[row, column])
