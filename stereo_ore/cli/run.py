@@ -15,7 +15,9 @@ import typer
 from stereo_ore.errors import FrameError, MissingExtraError, SourceError
 
 if TYPE_CHECKING:
+    from stereo_ore.batch import Job
     from stereo_ore.pipeline import Context
+    from stereo_ore.sinks.run_folder import RunFolder
     from stereo_ore.sources import Source
     from stereo_ore.types import Site, StereoCalibration
 
@@ -74,9 +76,8 @@ def run(
 
     Example: `stereo-ore run recording --calib calib/zed2_hd720.yaml --site site.yaml --out out`
     """
-    from stereo_ore import batch, cluster, figures, pipeline
+    from stereo_ore import batch, figures, pipeline
     from stereo_ore.config import load_config
-    from stereo_ore.health.history import Watch
     from stereo_ore.sinks.frame_files import FrameFiles
     from stereo_ore.sinks.run_folder import RunFolder
     from stereo_ore.site import load_site
@@ -104,16 +105,24 @@ def run(
     )
     with RunFolder(out, description, resume=resume, overwrite=overwrite) as folder:
         _write_inputs(out, context, site)
-        todo = indices[folder.done :]
-        watch = Watch(context.config.health, folder.earlier())
-        with _progress(len(indices), folder.done) as advance, _stoppable():
-            for lines in cluster.run(job, todo, scheduler) if scheduler else batch.run(job, todo, workers):
-                folder.add(watch.judge(lines))
-                advance()
+        _do_frames(job, indices, folder, workers, scheduler)
         folder.finish()
     if report:
         _report(out, recording, indices, calibration)
     _summarise(out)
+
+
+def _do_frames(job: Job, indices: range, folder: RunFolder, workers: int, scheduler: str | None) -> None:
+    """What is left of the frames, into the folder, by processes of this machine or the workers of a cluster."""
+    from stereo_ore import batch, cluster
+    from stereo_ore.health.history import Watch
+
+    todo = indices[folder.done :]
+    watch = Watch(job.context.config.health, folder.earlier())
+    with _progress(len(indices), folder.done) as advance, _stoppable():
+        for lines in cluster.run(job, todo, scheduler) if scheduler else batch.run(job, todo, workers):
+            folder.add(watch.judge(lines))
+            advance()
 
 
 def _open(
