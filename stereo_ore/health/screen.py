@@ -66,9 +66,10 @@ def doubts(surface: Surface, plane: Plane, grizzly: GrizzlyConfig, config: Healt
         return
     farthest = config.max_screen_offset * found.sigma_m
     steepest = max(config.max_screen_tilt_rad, found.sigma_rad)
-    if abs(found.offset_m) > farthest or found.tilt_rad > steepest:
+    # Together: of a screen that sinks out of the working volume only what is highest is seen, a little low and turned.
+    if np.hypot(found.offset_m / farthest, found.tilt_rad / steepest) > 1:
         where = f"{1000 * abs(found.offset_m):.0f} mm {'above' if found.offset_m > 0 else 'below'} grizzly.plane"
-        limits = f"allowed are {1000 * farthest:.0f} mm and {np.degrees(steepest):.1f}°"
+        limits = f"allowed are {1000 * farthest:.0f} mm or {np.degrees(steepest):.1f}°, less of both together"
         text = f"the screen is seen {where} and turned by {np.degrees(found.tilt_rad):.1f}°, {limits}"
         yield Reason("SCREEN_MOVED", f"{text}: was the camera moved, or is the calibration of another one?")
 
