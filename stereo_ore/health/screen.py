@@ -28,6 +28,8 @@ OVERLAP = 5.0
 
 LEAST_OPEN, GRID = 0.12, 20_000
 """Share of a screen's outline, on a grid of so many pixels, that shows no bar and no ore: a bed of ore has no gaps."""
+LEAST_HIDDEN = 0.4
+"""Share of the outline of all points that shows any where ore hides the screen; less where only tips of it are left."""
 LEAST_OWN, CLEAR_OF, BESIDE = 0.05, 2.5, 2.5
 """The bars are at the site's plane after all where at least this share of the points is, so many times more than
 so many tolerances above and below: then a wider plane is the floor of the pit."""
@@ -48,7 +50,7 @@ class Deviation:
 
 
 def doubts(surface: Surface, plane: Plane, grizzly: GrizzlyConfig, config: HealthConfig) -> Iterator[Reason]:
-    """SCREEN_MOVED where the cloud shows the screen elsewhere; nothing where too little of a screen is seen.
+    """SCREEN_MOVED where the cloud shows the screen elsewhere, or neither it nor a bed of ore that hides it.
 
     Parameters
     ----------
@@ -61,8 +63,15 @@ def doubts(surface: Surface, plane: Plane, grizzly: GrizzlyConfig, config: Healt
     config : HealthConfig
         The limits.
     """
-    found = deviation(surface, plane, grizzly, config.least_screen)
+    sample = draw_sample(surface, grizzly)
+    if len(sample) < FEWEST_POINTS:
+        return
+    found = deviation(surface, sample, plane, grizzly, config.least_screen)
     if found is None:
+        seen = np.isfinite(surface.xyz[..., 2])
+        if seen.sum() < LEAST_HIDDEN * _outline(seen).sum() and not _stays(sample, plane):
+            text = "neither is a screen seen at grizzly.plane, nor ore that hides it"
+            yield Reason("SCREEN_MOVED", f"{text}: was the camera moved, or is the calibration of another one?")
         return
     farthest = config.max_screen_offset * found.sigma_m
     steepest = max(config.max_screen_tilt_rad, found.sigma_rad)
@@ -74,11 +83,10 @@ def doubts(surface: Surface, plane: Plane, grizzly: GrizzlyConfig, config: Healt
         yield Reason("SCREEN_MOVED", f"{text}: was the camera moved, or is the calibration of another one?")
 
 
-def deviation(surface: Surface, plane: Plane, config: GrizzlyConfig, least_share: float) -> Deviation | None:
+def deviation(
+    surface: Surface, sample: Sample, plane: Plane, config: GrizzlyConfig, least_share: float
+) -> Deviation | None:
     """How far the clearest plane of the cloud is from `plane`; None where no plane is clear."""
-    sample = draw_sample(surface, config)
-    if len(sample) < FEWEST_POINTS:
-        return None
     planes = [refine(sample, plane, BarFit(None, 0.0)) for plane, _ in candidate_planes(sample, config)]
     wide = [candidate for candidate in planes if _is_wide(sample, candidate, least_share)]
     if not wide:
@@ -88,10 +96,15 @@ def deviation(surface: Surface, plane: Plane, config: GrizzlyConfig, least_share
         return None
     on = _on(sample, seen)
     found = _deviation(sample.xyz[on], seen, plane, surface)
-    near, beside = _share(sample, plane), _share_beside(sample, plane)
     overlaps = abs(found.offset_m) < OVERLAP * found.sigma_m
-    stays = near > LEAST_OWN and near > CLEAR_OF * beside
-    return found if overlaps or (on.mean() > CLEARER * near and not stays) else None
+    clearer = on.mean() > CLEARER * _share(sample, plane)
+    return found if overlaps or (clearer and not _stays(sample, plane)) else None
+
+
+def _stays(sample: Sample, plane: Plane) -> bool:
+    """Whether the bars are at the site's plane after all, whatever else is seen."""
+    near = _share(sample, plane)
+    return near > LEAST_OWN and near > CLEAR_OF * _share_beside(sample, plane)
 
 
 def _on(sample: Sample, plane: Plane) -> Mask:
@@ -112,9 +125,14 @@ def _open_share(surface: Surface, plane: Plane, config: GrizzlyConfig) -> float:
     on = np.abs(height) < tolerance
     if not on.any():
         return 0.0
-    outline = cv2.convexHull(np.argwhere(on)[:, ::-1].astype(np.int32))
-    inside = cv2.fillConvexPoly(np.zeros(on.shape, np.uint8), outline, 1) > 0
+    inside = _outline(on)
     return float((inside & ~(height > -tolerance)).sum() / inside.sum())
+
+
+def _outline(shown: Mask) -> Mask:
+    """The convex hull of what is shown."""
+    hull = cv2.convexHull(np.argwhere(shown)[:, ::-1].astype(np.int32))
+    return np.asarray(cv2.fillConvexPoly(np.zeros(shown.shape, np.uint8), hull, 1) > 0)
 
 
 def _share(sample: Sample, plane: Plane) -> float:
