@@ -56,6 +56,22 @@ def test_a_screen_that_is_turned_is_told(angle_deg: float) -> None:
     assert told(screen, turned(screen.plane, np.radians(angle_deg)))
 
 
+def test_little_of_an_offset_and_a_tilt_is_told_together_only() -> None:
+    screen = replace(WIDE, pit=5.0)
+    low = Plane(screen.plane.normal, screen.plane.offset + 3.2 * SIGMA_M)
+    steep = turned(screen.plane, 0.02)
+    assert not told(screen, low)
+    assert not told(screen, steep)
+    assert told(screen, Plane(steep.normal, steep.offset + 3.2 * SIGMA_M))
+
+
+def test_tips_of_ore_alone_are_told() -> None:
+    """What is left in the working volume of a scene that seems to lie lower than it does."""
+    lumps = tuple((s, c, 0.1, 0.25) for s in (-0.8, 0.0, 0.8) for c in (-0.6, 0.0, 0.6))
+    screen = replace(WIDE, lumps=lumps)
+    assert told(screen, Plane(screen.plane.normal, screen.plane.offset + 0.2), depth=-0.05)
+
+
 def test_a_wide_floor_of_the_pit_is_no_moved_screen() -> None:
     screen = Screen(half=0.42, floor=0.3, noise_px=0.15)
     assert not told(screen, screen.plane, depth=1.0)
