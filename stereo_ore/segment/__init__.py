@@ -234,7 +234,8 @@ def _select(
     shrink = view.relief.pixel_m / full_pixel_m
     least = max((config.min_size_m / view.relief.pixel_m) ** 2, config.min_pixels / shrink**2)
     large = present & (area >= least)
-    likely = large & (lump_probability(scene, labels, models.part) > config.lump_probability)
+    wanted = np.where(area < config.small_pixels / shrink**2, config.small_probability, config.lump_probability)
+    likely = large & (lump_probability(scene, labels, models.part) > wanted)
     dropped = {"dropped_small": int((present & ~large).sum()), "dropped_unlike": int((large & ~likely).sum())}
     return renumbered(labels, likely), dropped
 
