@@ -10,6 +10,7 @@ from stereo_ore.config import GrizzlyConfig, SegmentConfig
 from stereo_ore.segment.cores import LEVEL_RATIO, cores
 from stereo_ore.segment.relief import fill_occlusions
 from stereo_ore.segment.split import valley_depth
+from stereo_ore.segment.weights import PART_FEATURES, Logistic, Weights, load
 from stereo_ore.types import Grizzly, OreMap, Rig, Site, Surface
 
 CONFIG = SegmentConfig()
@@ -135,6 +136,28 @@ def test_a_crop_is_laid_where_it_was_cut_out():
     cropped = Surface(surface.xyz[part].copy(), surface.bgr[part].copy(), surface.sigma_z[part].copy(), 30, 20, RIG)
     labels = segment.segment(cropped, screen_of(screen, surface), None, CONFIG).labels
     assert ((labels > 0) != (whole > 0)).mean() < 0.005
+
+
+def test_what_is_small_or_cut_must_be_likelier_a_lump():
+    small, large = (-0.3, -0.2, 0.05, 0.08), (0.2, 0.1, 0.05, 0.15)
+    screen = Screen(lumps=(small, large), half=0.6)
+    surface, truth = draw(screen)
+    areas = np.bincount(truth.ravel())[1:]
+    config = CONFIG.model_copy(update={"small_pixels": int(areas.mean())})
+    zeros, ones = ((value,) * len(PART_FEATURES) for value in (0.0, 1.0))
+    two_of_three = Logistic(PART_FEATURES, zeros, ones, zeros, float(np.log(2)))
+    weights = Weights(load().pair, two_of_three)
+
+    def found(of: Surface, config: SegmentConfig) -> list[float]:
+        labels = segment.segment(of, screen_of(screen, surface), None, config, weights).labels
+        return [float((labels[truth == lump] > 0).mean()) for lump in (1, 2)]
+
+    assert min(found(surface, CONFIG)) > 0.8
+    of_small, of_large = found(surface, config)
+    assert of_small == 0 < 0.8 < of_large
+    middle = int(np.nonzero(truth == 2)[1].mean())
+    cut = Surface(*(image[:, :middle].copy() for image in (surface.xyz, surface.bgr, surface.sigma_z)), 0, 0, RIG)
+    assert found(cut, CONFIG)[1] == 0 < 0.8 < found(cut, CONFIG)[0]
 
 
 def test_same_bits_for_any_number_of_threads_and_nothing_changed():

@@ -109,8 +109,8 @@ class SegmentConfig(StageConfig):
     opening_px: float = param(48.0, "size of the opening in the image at which lumps are told apart", "px", ge=8)
     merge_probability: float = param(0.4, "neighbours more likely one lump than this are joined", gt=0, lt=1)
     lump_probability: float = param(0.55, "parts less likely a lump than this are dropped, and counted", ge=0, lt=1)
-    small_pixels: int = param(600, "a clump of wrong matches has fewer visible pixels: such a lump must be", "px", ge=0)
-    small_probability: float = param(0.75, "likelier a lump than this, or is dropped, and counted", ge=0, lt=1)
+    small_pixels: int = param(600, "a lump of fewer visible pixels may be a clump of wrong matches", "px", ge=0)
+    doubtful_probability: float = param(0.75, "small ones, and cut ones, are dropped if less likely", ge=0, lt=1)
     default_opening_m: float = param(0.3, "scale of the lumps when no opening is known", "m", gt=0)
 
 

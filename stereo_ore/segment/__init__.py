@@ -36,7 +36,7 @@ class View:
     """The crop around the ore: what segmentation looks at, all (h, w).
 
     Relief with its gaps filled and as measured [px], grey and colour image, ore, where a point lies over a bar, and
-    the distance from the screen's sides [openings, at most 1], and the strength of image edges.
+    the distance from the screen's sides [openings, at most 1], the strength of image edges, and the crop's border.
     """
 
     filled: F32
@@ -47,6 +47,7 @@ class View:
     on_bar: Mask
     inside: F32
     edge: F32
+    border: Mask
     relief: Relief
     threshold_px: float
     opening_px: float
@@ -104,7 +105,9 @@ def look(surface: Surface, grizzly: Grizzly, config: SegmentConfig, bounded: boo
     if not bounded:
         px = np.where(inside > -1, px, np.float32(0))
     mask = ore_mask(ore_evidence(px, between, threshold), grey, config, (config.least_part * size) ** 2)
-    return View(px, raw, grey, surface.bgr, mask, on_bar, inside, edges(grey, mask), relief, threshold, size)
+    border = np.ones(mask.shape, np.bool_)
+    border[1:-1, 1:-1] = False
+    return View(px, raw, grey, surface.bgr, mask, on_bar, inside, edges(grey, mask), border, relief, threshold, size)
 
 
 def _place(
@@ -151,7 +154,8 @@ def _heaps(view: View, config: SegmentConfig) -> Iterator[tuple[Box, View]]:
         margin = band + 2
         box = np.s_[max(y - margin, 0) : y + h + margin, max(x - margin, 0) : x + w + margin]
         fields = {
-            name: getattr(view, name)[box] for name in ("filled", "raw", "grey", "bgr", "on_bar", "inside", "edge")
+            name: getattr(view, name)[box]
+            for name in ("filled", "raw", "grey", "bgr", "on_bar", "inside", "edge", "border")
         }
         yield box, replace(view, mask=view.mask[box] & (heaps[box] == number), **fields)
 
@@ -200,7 +204,8 @@ def _shrunk(view: View, factor: int) -> View:
     return replace(
         view, filled=of_measured(view.filled), raw=of_measured(view.raw), grey=mean(view.grey).astype(np.uint8),
         bgr=mean(view.bgr).astype(np.uint8), mask=mean(view.mask) > 0.5, on_bar=mean(view.on_bar) > 0.5,
-        inside=mean(view.inside), edge=mean(view.edge), opening_px=view.opening_px / factor,
+        inside=mean(view.inside), edge=mean(view.edge), border=mean(view.border) > 0,
+        opening_px=view.opening_px / factor,
         relief=replace(view.relief, pixel_m=view.relief.pixel_m * factor),
     )  # fmt: skip
 
@@ -234,7 +239,9 @@ def _select(
     shrink = view.relief.pixel_m / full_pixel_m
     least = max((config.min_size_m / view.relief.pixel_m) ** 2, config.min_pixels / shrink**2)
     large = present & (area >= least)
-    wanted = np.where(area < config.small_pixels / shrink**2, config.small_probability, config.lump_probability)
+    doubtful = area < config.small_pixels / shrink**2
+    doubtful[labels[view.border]] = True
+    wanted = np.where(doubtful, config.doubtful_probability, config.lump_probability)
     likely = large & (lump_probability(scene, labels, models.part) > wanted)
     dropped = {"dropped_small": int((present & ~large).sum()), "dropped_unlike": int((large & ~likely).sum())}
     return renumbered(labels, likely), dropped
