@@ -92,7 +92,7 @@ class SegmentConfig(StageConfig):
     """Lumps in the image."""
 
     min_size_m: float = param(0.04, "lumps whose visible width is smaller are dropped, and counted", "m", gt=0)
-    min_pixels: int = param(120, "and of fewer visible pixels: no more than a clump of wrong matches", "px", ge=1)
+    min_pixels: int = param(240, "and of fewer visible pixels: no more than a clump of wrong matches", "px", ge=1)
     sigmas: float = param(3.0, "relief over the bars that is ore, in standard deviations of a disparity", gt=0)
     min_height: float = param(0.05, "relief over the bars that is ore, in openings", ge=0)
     evidence: float = param(0.7, "smoothed evidence above which a pixel is ore (1: relief just stands out)", gt=0, lt=2)

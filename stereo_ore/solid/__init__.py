@@ -63,13 +63,14 @@ def _solid(sight: Sight, cues: Cues, opening_m: float | None, cut: bool, config:
     shift *= min(1.0, FARTHEST * s / max(float(np.linalg.norm(shift)), 1e-12))
     ratio = np.clip(estimate.mean["volume"] - np.log(base.volume / s**3), -LARGEST, LARGEST)
     volume = float(np.exp(ratio) * base.volume)
-    centre, spread = base.centroid + shift, config.volume_sigmas * estimate.sigma["volume"] * (2.0 if cut else 1.0)
+    factor = OUTLINE_FACTOR * (2.0 if cut else 1.0)
+    centre, spread = base.centroid + shift, config.volume_sigmas * estimate.sigma["volume"] * factor
     size = np.sort([s * np.exp(estimate.mean[name]) for name in DIMENSIONS])[::-1]
     vertices = centre + np.exp(ratio / 3) * (base.vertices - base.centroid)
     box_length = float(cues.box.extent[0] * size[0] / longest_calliper(base.vertices))
     return Solid(
         centre_of_gravity=sight.to_camera(centre),
-        sigma_m=_sigma(sight, estimate, cut, config),
+        sigma_m=_sigma(sight, estimate, factor, config),
         volume_m3=volume,
         volume_bounds_m3=(float(volume * np.exp(-spread)), float(volume * np.exp(spread))),
         box_centre=sight.to_camera(centre + np.exp(ratio / 3) * (cues.box.centre - base.centroid)),
@@ -83,9 +84,9 @@ def _solid(sight: Sight, cues: Cues, opening_m: float | None, cut: bool, config:
     )
 
 
-def _sigma(sight: Sight, estimate: Estimate, cut: bool, config: SolidConfig) -> F64:
+def _sigma(sight: Sight, estimate: Estimate, factor: float, config: SolidConfig) -> F64:
     """Standard deviation (3,) [m] along the camera's axes: the model's error, and a bias common to all disparities."""
-    model = np.array([estimate.sigma[axis] for axis in "xyz"]) * sight.size * OUTLINE_FACTOR * (2.0 if cut else 1.0)
+    model = np.array([estimate.sigma[axis] for axis in "xyz"]) * sight.size * factor
     bias = sight.sigma_z * config.bias_share * sight.view
     variance = (model**2) @ sight.axes**2 + (bias @ sight.axes) ** 2
     return np.asarray(np.sqrt(variance))
