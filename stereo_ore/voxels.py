@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from stereo_ore.config import VoxelConfig
 from stereo_ore.errors import CloudError
+from stereo_ore.threads import pool
 from stereo_ore.types import F32, I32, Disparity, PointCloud, Rig, Volume, VoxelCloud
 
 Int64 = npt.NDArray[np.int64]
@@ -69,6 +70,7 @@ def voxelise(cloud: PointCloud, disparity: Disparity, rig: Rig, size_m: float) -
     region = disparity.region
     v, u = np.divmod(cloud.pixel, np.int32(cloud.image_shape[1]))
     at = (v - region.y0) * (region.x1 - region.x0) + (u - region.x0)
+    means = pool().map(lambda cue: mean(np.take(cue, at)), disparity.cues.values())
     xyz = np.stack([mean(axis) for axis in along], -1)
     return VoxelCloud(
         xyz,
@@ -77,7 +79,7 @@ def voxelise(cloud: PointCloud, disparity: Disparity, rig: Rig, size_m: float) -
         size_m,
         mean(cloud.sigma_z),
         (xyz[:, 2] / rig.fx).astype(np.float32),
-        {name: mean(np.take(cue, at)) for name, cue in disparity.cues.items()},
+        dict(zip(disparity.cues, means, strict=True)),
     )
 
 

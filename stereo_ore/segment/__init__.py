@@ -18,6 +18,7 @@ from stereo_ore.segment.outline import filled, grow, renumbered
 from stereo_ore.segment.relief import Relief, bar_clearance, bar_coordinates, fill_occlusions, measure_relief
 from stereo_ore.segment.split import long_parts, smooth_relief, valley_depth
 from stereo_ore.segment.weights import Weights, load
+from stereo_ore.threads import pool
 from stereo_ore.types import F32, I16, I32, U8, Grizzly, Mask, OreMap, Surface, Volume
 
 __all__ = ["Scene", "coarse_heaps", "look", "oversegment", "segment"]
@@ -82,10 +83,9 @@ def segment(
     view, models = look(surface, grizzly, config, bounded=volume is not None), weights or load()
     labels = np.zeros(view.mask.shape, np.int32)
     counts = dict.fromkeys(("parts", "dropped_small", "dropped_unlike"), 0)
-    for box, heap in _heaps(view, config):
-        if volume is None and not (heap.inside[heap.mask] > 0).any():
-            continue
-        lumps, tally = _segment_heap(heap, config, models)
+    heaps = [(b, heap) for b, heap in _heaps(view, config) if volume or (heap.inside[heap.mask] > 0).any()]
+    found = pool().map(lambda heap: _segment_heap(heap[1], config, models), heaps)
+    for (box, _), (lumps, tally) in zip(heaps, found, strict=True):
         room = (labels[box] == 0) & (lumps > 0)
         labels[box][room] = lumps[room] + labels.max()
         counts = {key: counts[key] + tally[key] for key in counts}
