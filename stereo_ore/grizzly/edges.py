@@ -55,16 +55,8 @@ def sharpened(surface: Surface, grizzly: Grizzly, tolerance: F32) -> Bars | None
 
 def _in_plane(surface: Surface, grizzly: Grizzly, bars: Bars) -> tuple[F32, F32]:
     """Where each pixel's ray meets the plane, across and along the bars, (h, w) each [m]."""
-    rig, (height, width) = surface.rig, surface.sigma_z.shape
-    x = ((np.arange(width) + surface.x0 - rig.cx) / rig.fx).astype(np.float32)[None, :]
-    y = ((np.arange(height) + surface.y0 - rig.cy) / rig.fy).astype(np.float32)[:, None]
-
-    def along(axis: F64) -> F32:
-        a, b, c = axis.astype(np.float32)
-        return np.asarray(a * x + b * y + c)
-
-    depth = np.float32(grizzly.plane.offset) / along(grizzly.plane.normal)
-    return along(bars.across) * depth, along(bars.direction) * depth
+    depth = np.float32(grizzly.plane.offset) / surface.on_rays(grizzly.plane.normal)
+    return surface.on_rays(bars.across) * depth, surface.on_rays(bars.direction) * depth
 
 
 def _between(coordinate: F32, part: Mask) -> Mask:

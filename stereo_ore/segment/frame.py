@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from stereo_ore.segment.relief import Relief, bar_coordinates, on_rays
+from stereo_ore.segment.relief import Relief, bar_coordinates
 from stereo_ore.types import F32, F64, Bars, Grizzly, Mask, Surface
 
 CELLS_PER_BAR = 2
@@ -73,7 +73,7 @@ def find_frame(surface: Surface, relief: Relief, grizzly: Grizzly, bars: Bars) -
     if not closed.any():
         none = Side(0.0, 1.0, np.array([np.nan]))
         return Frame((none, none))
-    on_plane = np.float32(grizzly.plane.offset) / on_rays(surface, grizzly.plane.normal, step)
+    on_plane = np.float32(grizzly.plane.offset) / surface.on_rays(grizzly.plane.normal, step)
     cell = bars.width_m / CELLS_PER_BAR
     coordinates = bar_coordinates(surface, bars, np.where(closed, depth, on_plane), step)
     plan = [_cells(coordinate, coordinate[closed], cell) for coordinate in coordinates]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stereo_ore.types import F32, F64, Bars, Grizzly, Surface
+from stereo_ore.types import F32, Bars, Grizzly, Surface
 
 SAMPLED = 60_000
 """Pixels that the middle depth and the noise are taken from."""
@@ -49,7 +49,7 @@ def measure_relief(surface: Surface, grizzly: Grizzly) -> Relief:
     scale = focal_baseline / plane.offset
     z = surface.xyz[..., 2]
     px = np.float32(focal_baseline) / z
-    px -= on_rays(surface, scale * plane.normal)
+    px -= surface.on_rays(scale * plane.normal)
     step = max(1, round(np.sqrt(z.size / SAMPLED)))
     valid = np.isfinite(z[::step, ::step])
     if not valid.any():
@@ -60,21 +60,12 @@ def measure_relief(surface: Surface, grizzly: Grizzly) -> Relief:
     return Relief(px, sigma, middle / rig.fx, focal_baseline / middle**2, -1.0 / scale)
 
 
-def on_rays(surface: Surface, vector: F64, step: int = 1) -> F32:
-    """Product of a vector with the rays (x/z, y/z, 1) of every `step`-th pixel, (h, w): linear in the pixel."""
-    rig, (h, w) = surface.rig, surface.sigma_z.shape
-    x = (surface.x0 + np.arange(0, w, step) - rig.cx) / rig.fx
-    y = (surface.y0 + np.arange(0, h, step) - rig.cy) / rig.fy
-    across, down = (vector[0] * x).astype(np.float32), (vector[1] * y + vector[2]).astype(np.float32)
-    return np.asarray(across[None, :] + down[:, None])
-
-
 def bar_coordinates(surface: Surface, bars: Bars, depth_m: F32, step: int = 1) -> tuple[F32, F32]:
     """Coordinates across and along the bars [m] of points at these depths (h, w) on every `step`-th pixel's ray."""
-    across = on_rays(surface, bars.across, step)
+    across = surface.on_rays(bars.across, step)
     across *= depth_m
     across -= np.float32(bars.phase_m)
-    along = on_rays(surface, bars.direction, step)
+    along = surface.on_rays(bars.direction, step)
     along *= depth_m
     return across, along
 
