@@ -37,10 +37,8 @@ def doubts(pair: RectifiedPair, disparity: Disparity, config: HealthConfig) -> I
         text = f"neighbouring disparities differ by {spread:.2f} px, {config.max_spread_px} px at most are wanted"
         yield Reason("EYES_DISAGREE", f"{text}: are the eyes swapped, or of two moments?")
     left, right = (np.asarray(cv2.cvtColor(eye, cv2.COLOR_BGR2GRAY), np.uint8) for eye in (pair.left, pair.right))
-    shift, limit = (
-        row_shift(left, right, disparity, pair.rig.disparity_offset_px),
-        config.max_row_shift_rad * pair.rig.fy,
-    )
+    shift = row_shift(left, right, disparity, pair.rig.disparity_offset_px)
+    limit = config.max_row_shift_rad * pair.rig.fy
     if shift > limit:
         wanted = f"{limit:.2f} px at most are wanted (health.max_row_shift_rad)"
         text = f"the rows of the eyes differ by {shift:.2f} px, {wanted}"

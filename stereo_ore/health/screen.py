@@ -15,7 +15,7 @@ import numpy as np
 
 from stereo_ore.config import GrizzlyConfig, HealthConfig
 from stereo_ore.grizzly.bars import BarFit
-from stereo_ore.grizzly.plane import Sample, candidate_planes, draw_sample, refine
+from stereo_ore.grizzly.plane import Sample, candidate_planes, draw_sample, refine, tolerances
 from stereo_ore.types import F64, Mask, Plane, Reason, Surface
 
 FEWEST_POINTS = 200
@@ -121,7 +121,7 @@ def _open_share(surface: Surface, plane: Plane, config: GrizzlyConfig) -> float:
     """Share of the pixels within the outline of the plane's points that show nothing on it or above."""
     step = max(1, int(np.sqrt(surface.xyz[..., 2].size / GRID)))
     height = plane.height(surface.xyz[::step, ::step])
-    tolerance = config.distance_m or config.sigmas * surface.sigma_z[::step, ::step]
+    tolerance = tolerances(surface.sigma_z[::step, ::step], config)
     on = np.abs(height) < tolerance
     if not on.any():
         return 0.0
