@@ -89,7 +89,7 @@ def _lumps(spec: SceneSpec, steel: Mesh, rng: np.random.Generator) -> list[Lump]
     shapes = [str(s) for s in rng.choice(list(PROPORTIONS), spec.lumps)]
     kinds = [str(s) for s in rng.choice(list(ORES), 2, replace=False)]
     ores = [str(s) for s in rng.choice(kinds, spec.lumps, p=[0.65, 0.35])]
-    meshes = [rock(rng, shape, size) for shape, size in zip(shapes, sizes, strict=True)]
+    meshes = [rock(rng, shape, size, angular=spec.angular) for shape, size in zip(shapes, sizes, strict=True)]
     half, beam = np.array(spec.screen.size) / 2, spec.screen.frame_width
     field = HeightField.over((half[0] + beam, half[1] + beam), 0.1 * spec.screen.bar_width)
     field.add(steel)

@@ -71,6 +71,7 @@ class SceneSpec:
 
     `lump_size` are the least and greatest longest dimension [m], `tilt` the screen's two tilts [rad], `sky` its light.
     A `table` stands on a floor; otherwise there is a pit. `raw` eyes are distorted. `wet` 0…1 makes rock shine.
+    `angular` lumps are bounded by fewer and less equal faces: see `rocks.rock`.
     """
 
     seed: int
@@ -89,6 +90,7 @@ class SceneSpec:
     wet: float = 0.0
     haze_per_m: float = 0.0
     supersampling: int = 2
+    angular: bool = False
 
     def __post_init__(self) -> None:
         if self.size not in SIZES:
