@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from scipy import ndimage
 
 from stereo_ore.config import SegmentConfig
 from stereo_ore.segment.cores import cores
@@ -82,14 +83,15 @@ def segment(
         return _ore_map(surface, np.zeros(surface.sigma_z.shape, np.int32), {"parts": 0})
     view, models = look(surface, grizzly, config, bounded=volume is not None), weights or load()
     labels = np.zeros(view.mask.shape, np.int32)
-    counts = dict.fromkeys(("parts", "dropped_small", "dropped_unlike"), 0)
+    counts, lumps_before = dict.fromkeys(("parts", "dropped_small", "dropped_unlike"), 0), 0
     heaps = [(b, heap) for b, heap in _heaps(view, config) if volume or (heap.inside[heap.mask] > 0).any()]
     found = pool().map(lambda heap: _segment_heap(heap[1], config, models), heaps)
     for (box, _), (lumps, tally) in zip(heaps, found, strict=True):
         room = (labels[box] == 0) & (lumps > 0)
-        labels[box][room] = lumps[room] + labels.max()
+        labels[box][room] = lumps[room] + lumps_before
+        lumps_before += int(lumps.max(initial=0))
         counts = {key: counts[key] + tally[key] for key in counts}
-    numbered = renumbered(labels, np.arange(labels.max() + 1) > 0)
+    numbered = renumbered(labels, np.arange(lumps_before + 1) > 0)
     return _ore_map(surface, numbered, counts)
 
 
@@ -127,10 +129,10 @@ def _place(
         return raw, on_bar, between, np.ones(raw.shape, np.float32)
     high = np.flatnonzero(raw > least)
     frame = find_frame(surface, relief, grizzly, bars)
-    depth = np.ascontiguousarray(surface.xyz[..., 2])
-    c, s = (coordinate.ravel()[high] for coordinate in bar_coordinates(surface, bars, depth))
+    depth = surface.xyz[..., 2].ravel()[high]
+    c, s = bar_coordinates(surface, bars, depth, at=high)
     tolerance = np.maximum(3 * surface.sigma_z.ravel()[high], np.float32(0.05 * opening))
-    steel = frame.covers(c, s, relief.height_m(raw.ravel()[high], depth.ravel()[high]), tolerance)
+    steel = frame.covers(c, s, relief.height_m(raw.ravel()[high], depth), tolerance)
     clearance = bar_clearance(c, bars)
     raw.ravel()[high[steel]] = 0
     on_bar.ravel()[high] = clearance < 0
@@ -149,10 +151,11 @@ def _heaps(view: View, config: SegmentConfig) -> Iterator[tuple[Box, View]]:
     """Box and view of each heap: what touches, or nearly so that outlines may meet."""
     band = band_px(view, config)
     near = cv2.dilate(view.mask.astype(np.uint8), np.ones((band + 1, band + 1), np.uint8))
-    _, heaps, stats, _ = cv2.connectedComponentsWithStats(near, connectivity=4)
-    for number, (x, y, w, h, _) in enumerate(stats[1:], start=1):
-        margin = band + 2
-        box = np.s_[max(y - margin, 0) : y + h + margin, max(x - margin, 0) : x + w + margin]
+    heaps = np.asarray(cv2.connectedComponents(near, connectivity=4)[1], dtype=np.int32)
+    margin = band + 2
+    for number, (rows, columns) in enumerate(ndimage.find_objects(heaps), start=1):
+        top, left = max(rows.start - margin, 0), max(columns.start - margin, 0)
+        box = np.s_[top : rows.stop + margin, left : columns.stop + margin]
         fields = {
             name: getattr(view, name)[box]
             for name in ("filled", "raw", "grey", "bgr", "on_bar", "inside", "edge", "border")
@@ -176,7 +179,7 @@ def _segment_heap(view: View, config: SegmentConfig, models: Weights) -> tuple[I
     scene, parts = oversegment(coarse, config)
     merged = filled(merge_parts(scene, parts, config.merge_probability, models.pair))
     lumps, dropped = _select(scene, merged, coarse, view.relief.pixel_m, config, models)
-    tally = {"parts": int(len(np.unique(parts)) - 1)} | dropped
+    tally = {"parts": int(np.count_nonzero(np.bincount(parts.ravel())) - 1)} | dropped
     if coarse is view:
         return lumps, tally
     seeds = cv2.resize(lumps.astype(np.float32), view.mask.shape[::-1], interpolation=cv2.INTER_NEAREST)

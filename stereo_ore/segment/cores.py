@@ -74,7 +74,9 @@ def _find_peaks(thickness: F32, place: I64, rank: I64, width: int) -> tuple[I64,
         higher = beside > best
         np.copyto(best, beside, where=higher)
         np.copyto(up, to[place + offset], where=higher)
-    summit, up = np.unique(_followed(up), return_inverse=True)
+    up = _followed(up)
+    summit = np.flatnonzero(up == np.arange(len(up)))
+    up = _numbers(summit, len(up))[up]
     edges = []
     for offset in (1, width):
         other = to[place + offset]
@@ -85,8 +87,7 @@ def _find_peaks(thickness: F32, place: I64, rank: I64, width: int) -> tuple[I64,
     up = into[up]
     at_top = np.flatnonzero(rank == tops[up])
     peak, first = np.unique(up[at_top], return_index=True)
-    number = np.zeros(len(tops), np.int64)
-    number[peak[np.lexsort((at_top[first], -tops[peak]))]] = np.arange(len(peak))
+    number = _numbers(peak[np.lexsort((at_top[first], -tops[peak]))], len(tops))
     highest = np.zeros(len(peak), np.float32)
     np.maximum.at(highest, number[up[summit]], height[summit])
     saddles[:, 1:] = number[saddles[:, 1:]]
@@ -98,14 +99,14 @@ def _contracted(tops: I64, edges: I64) -> tuple[I64, I64]:
 
     Returns the peak that each becomes part of, and the highest saddle (rank, peak, peak) between each two left.
     """
-    into = np.arange(len(tops))
+    into, levels = np.arange(len(tops)), int(tops.max(initial=0)) + 1
     while len(edges):
         level, (a, b) = edges[:, 0], edges[:, 1:].T
         swap = (tops[a] > tops[b]) | ((tops[a] == tops[b]) & (a < b))
         low, high = np.where(swap, b, a), np.where(swap, a, b)
-        order = np.lexsort((level, high, low))
-        last = np.append((np.diff(low[order]) != 0) | (np.diff(high[order]) != 0), True)
-        level, low, high = (values[order][last] for values in (level, low, high))
+        pair, level = np.divmod(np.sort((low * len(tops) + high) * levels + level), levels)
+        last = np.append(pair[1:] != pair[:-1], True)
+        level, (low, high) = level[last], np.divmod(pair[last], len(tops))
         one = level == tops[low]
         edges = np.stack([level, low, high], 1)
         if not one.any():
@@ -116,6 +117,13 @@ def _contracted(tops: I64, edges: I64) -> tuple[I64, I64]:
         into, edges[:, 1:] = step[into], step[edges[:, 1:]]
         edges = edges[edges[:, 1] != edges[:, 2]]
     return into, edges
+
+
+def _numbers(members: I64, count: int) -> I64:
+    """The number (count,) of each member of a list; 0 for what is none."""
+    number = np.zeros(count, np.int64)
+    number[members] = np.arange(len(members))
+    return number
 
 
 def _followed(up: I64) -> I64:
@@ -143,8 +151,8 @@ def _join(peaks: Peaks, levels: F64, ratio: float) -> I32:
             thickest = max(mine, key=lambda peak: peaks.thickness[peak])
             thick = [p for p in mine if p == thickest or peaks.thickness[p] * ratio > levels[rank - 1]]
             members[one] = thick
-            thin = np.isin(table, [p + 1 for p in mine if p not in thick])
-            table[thin] = thickest + 1
+            if thin := [p + 1 for p in mine if p not in thick]:
+                table[np.isin(table, thin)] = thickest + 1
             table[whole, : rank + 1] = 0
             if len(thick) == 1:
                 table[whole] = thickest + 1

@@ -7,6 +7,7 @@ import numpy as np
 
 from stereo_ore.config import SegmentConfig
 from stereo_ore.segment.relief import Relief
+from stereo_ore.threads import pool
 from stereo_ore.types import F32, U8, Grizzly, Mask
 
 LEAST, MOST = -1.0, 2.0
@@ -15,6 +16,8 @@ BETWEEN_BARS = 1.2
 """Evidence of a surface at the height of the bar tops where there is no bar."""
 EDGE_VARIANCE = 50.0
 """Variance of grey levels that counts as an edge in the guided filter."""
+STRIPS = 4
+"""Parts of the image that threads filter."""
 
 
 def threshold_px(relief: Relief, opening_m: float | None, config: SegmentConfig) -> float:
@@ -47,12 +50,28 @@ def ore_mask(evidence: F32, grey: U8, config: SegmentConfig, area: float) -> Mas
 
     The evidence spreads over even areas of the grey image and stops at its edges (He et al. 2013, guided filter).
     """
-    smooth = cv2.ximgproc.guidedFilter(grey, evidence, config.guide_radius_px, EDGE_VARIANCE)
-    mask = cv2.morphologyEx((smooth > config.evidence).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
-    keep = stats[:, cv2.CC_STAT_AREA] >= area
-    keep[0] = False
-    return np.asarray(keep[labels])
+    likely = _smoothed(evidence, grey, config.guide_radius_px) > config.evidence
+    opened = cv2.morphologyEx(likely.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    _, labels = cv2.connectedComponents(opened, connectivity=4)
+    mask: Mask = opened > 0
+    ore = np.flatnonzero(mask)
+    mine = labels.ravel()[ore]
+    mask.ravel()[ore] = (np.bincount(mine) >= area)[mine]
+    return mask
+
+
+def _smoothed(evidence: F32, grey: U8, radius: int) -> F32:
+    """The evidence under the guided filter, in strips of rows that threads share."""
+    margin, height = 2 * radius, len(grey)
+    cuts = [height * i // STRIPS for i in range(STRIPS + 1)]
+
+    def strip(first: int, end: int) -> F32:
+        top = max(first - margin, 0)
+        rows = np.s_[top : end + margin]
+        smooth = cv2.ximgproc.guidedFilter(grey[rows], evidence[rows], radius, EDGE_VARIANCE)
+        return np.asarray(smooth[first - top : end - top], dtype=np.float32)
+
+    return np.concatenate(list(pool().map(strip, cuts[:-1], cuts[1:])))
 
 
 def bar_margin(relief: Relief, grizzly: Grizzly) -> float:

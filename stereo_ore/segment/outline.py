@@ -64,4 +64,7 @@ def renumbered(labels: I32, keep: Mask) -> I32:
     kept.sort(key=lambda i: tuple(side.start for side in boxes[i - 1]))
     new = np.zeros(max(len(keep), 1), np.int32)
     new[kept] = np.arange(1, len(kept) + 1)
-    return new[labels]
+    out = np.zeros(labels.shape, np.int32)
+    inside = np.flatnonzero(labels != 0)
+    out.ravel()[inside] = new[labels.ravel()[inside]]
+    return out

@@ -10,8 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from stereo_ore.types import F32, Bars, Grizzly, Surface
+
+I64 = npt.NDArray[np.int64]
 
 SAMPLED = 60_000
 """Pixels that the middle depth and the noise are taken from."""
@@ -60,12 +63,17 @@ def measure_relief(surface: Surface, grizzly: Grizzly) -> Relief:
     return Relief(px, sigma, middle / rig.fx, focal_baseline / middle**2, -1.0 / scale)
 
 
-def bar_coordinates(surface: Surface, bars: Bars, depth_m: F32, step: int = 1) -> tuple[F32, F32]:
-    """Coordinates across and along the bars [m] of points at these depths (h, w) on every `step`-th pixel's ray."""
-    across = surface.on_rays(bars.across, step)
+def bar_coordinates(
+    surface: Surface, bars: Bars, depth_m: F32, step: int = 1, at: I64 | None = None
+) -> tuple[F32, F32]:
+    """Coordinates across and along the bars [m] of points at these depths on every `step`-th pixel's ray.
+
+    `depth_m` is (h, w), or (N,) at the flat indices `at`.
+    """
+    rays = (surface.on_rays(axis, step) for axis in (bars.across, bars.direction))
+    across, along = (ray if at is None else ray.ravel()[at] for ray in rays)
     across *= depth_m
     across -= np.float32(bars.phase_m)
-    along = surface.on_rays(bars.direction, step)
     along *= depth_m
     return across, along
 
@@ -85,11 +93,10 @@ def fill_occlusions(px: F32) -> F32:
     eye.
     """
     width = px.shape[1]
-    valid = np.isfinite(px)
+    valid = np.isfinite(px).ravel()
     # A gap lies between a measured pixel and the next one in its row that are no neighbours.
-    measured = np.flatnonzero(valid)
-    gap = np.flatnonzero(np.diff(measured) > 1)
-    before, after = measured[gap], measured[gap + 1]
+    change = np.flatnonzero(valid[1:] != valid[:-1])[0 if valid[0] else 1 :]
+    before, after = change[0 : len(change) // 2 * 2 : 2], change[1::2] + 1
     same_row = before // width == after // width
     before, after = before[same_row], after[same_row]
     far, near = px.ravel()[before], px.ravel()[after]
