@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -26,6 +27,7 @@ from stereo_ore import (
 from stereo_ore.config import Config
 from stereo_ore.errors import FrameError
 from stereo_ore.sources import Source
+from stereo_ore.threads import pool
 from stereo_ore.types import (
     Disparity,
     FrameResult,
@@ -94,9 +96,10 @@ def process(pair: StereoPair, context: Context, more: Sequence[StereoPair] = ())
     """The whole chain on one pair, or on one and `more` of the same still scene.
 
     A fault in the frame ends the chain early: the result then holds what was reached, a status other than "ok", and
-    the reason.
+    the reason. Other threads do the checks beside the chain.
     """
     result = FrameResult(pair.name, pair.index, pair.stamp_ns, "ok", (), dict.fromkeys(COUNTS, 0))
+    checks: list[Future[tuple[Reason, ...]]] = []
     steps: tuple[tuple[str, Step], ...] = (
         ("rectify", lambda r: replace(r, pair=rectify.rectify(pair, context.rectifier))),
         ("match", lambda r: _match(r, context, more)),
@@ -105,7 +108,7 @@ def process(pair: StereoPair, context: Context, more: Sequence[StereoPair] = ())
         ("filter", lambda r: _filter(r, context)),
         ("grizzly", lambda r: _grizzly(r, context)),
         ("segment", lambda r: _segment(r, context)),
-        ("ores", lambda r: _ores(r, context)),
+        ("ores", lambda r: _doubt(_ores(r, context), checks)),
     )
     times: dict[str, float] = {}
     for name, step in steps:
@@ -113,8 +116,10 @@ def process(pair: StereoPair, context: Context, more: Sequence[StereoPair] = ())
         try:
             result = step(result)
         except FrameError as error:
-            return replace(_failed(result, error), stages_ms=times)
+            return replace(_failed(_doubt(result, checks), error), stages_ms=times)
         times[name] = 1000 * (time.perf_counter() - start)
+        if name in CHECKS:
+            checks.append(pool().submit(CHECKS[name], result, context))
     return replace(_judge(result), stages_ms=times)
 
 
@@ -129,15 +134,8 @@ def _match(result: FrameResult, context: Context, more: Sequence[StereoPair]) ->
         disparity = matching.fuse(pairs, [disparity, *others])
     if context.empty is not None:
         matching.background.compare(context.empty.background, disparity)
-    result = _doubt(replace(result, disparity=disparity), health.eye_doubts(pairs[0], disparity, context.config.health))
+    result = replace(result, disparity=disparity)
     return _count(result, pixels=disparity.values.size, disparities=int(np.isfinite(disparity.values).sum()))
-
-
-def _doubt(result: FrameResult, reasons: Iterable[Reason]) -> FrameResult:
-    """The frame with what speaks against acting on it, if anything does."""
-    if not (new := tuple(reasons)):
-        return result
-    return replace(result, status="degraded", reasons=(*result.reasons, *new))
 
 
 def _match_pair(pair: RectifiedPair, context: Context) -> Disparity:
@@ -171,12 +169,9 @@ def _filter(result: FrameResult, context: Context) -> FrameResult:
 
 
 def _grizzly(result: FrameResult, context: Context) -> FrameResult:
-    surface, config, empty = _have(result.surface), context.config, context.empty
-    found = grizzly.find(surface, context.site, config.grizzly) if empty is None else empty.grizzly
-    result = replace(result, grizzly=found)
-    if found.source == "auto":
-        return result
-    return _doubt(result, health.screen_doubts(surface, found.plane, config.grizzly, config.health))
+    surface, empty = _have(result.surface), context.empty
+    found = grizzly.find(surface, context.site, context.config.grizzly) if empty is None else empty.grizzly
+    return replace(result, grizzly=found)
 
 
 def _segment(result: FrameResult, context: Context) -> FrameResult:
@@ -214,6 +209,28 @@ def _describe(
         Ore(id, int(points[id]), int(pixels[id]), id in ore_map.cut, centroids[id], solids[id - 1], plans[id - 1])
         for id in range(1, n + 1)
     )
+
+
+def _eye_doubts(result: FrameResult, context: Context) -> tuple[Reason, ...]:
+    return tuple(health.eye_doubts(_have(result.pair), _have(result.disparity), context.config.health))
+
+
+def _screen_doubts(result: FrameResult, context: Context) -> tuple[Reason, ...]:
+    surface, screen, config = _have(result.surface), _have(result.grizzly), context.config
+    if screen.source == "auto":
+        return ()
+    return tuple(health.screen_doubts(surface, screen.plane, config.grizzly, config.health))
+
+
+CHECKS = {"match": _eye_doubts, "grizzly": _screen_doubts}
+"""What is checked after a step, beside the steps that follow."""
+
+
+def _doubt(result: FrameResult, checks: Iterable[Future[tuple[Reason, ...]]]) -> FrameResult:
+    """The frame with what speaks against acting on it, if anything does."""
+    if not (found := tuple(reason for check in checks for reason in check.result())):
+        return result
+    return replace(result, status="degraded", reasons=(*result.reasons, *found))
 
 
 def _judge(result: FrameResult) -> FrameResult:
