@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+from typing import TypeVar
 
 import cv2
+import numpy as np
+import numpy.typing as npt
+
+CHUNK = 4096
+"""Rows worked on at a time: bounds the memory of temporaries, and keeps them in the processor's cache."""
+
+Scalar = TypeVar("Scalar", bound=np.generic)
+Result = TypeVar("Result")
 
 
 def pool() -> ThreadPoolExecutor:
@@ -19,3 +29,21 @@ def pool() -> ThreadPoolExecutor:
 @cache
 def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix="stage")
+
+
+def map_rows(function: Callable[[slice], npt.NDArray[Scalar]], length: int) -> npt.NDArray[Scalar]:
+    """What `function` gives for consecutive chunks of rows, one after the other, computed by all threads.
+
+    A chunk's result doesn't depend on the others, so the number of threads changes nothing.
+    """
+    return np.concatenate(each_chunk(function, length))
+
+
+def each_chunk(function: Callable[[slice], Result], length: int) -> list[Result]:
+    """What `function` gives for consecutive chunks of rows, computed by all threads."""
+    return list(pool().map(function, chunks(length)))
+
+
+def chunks(length: int, size: int = CHUNK) -> Iterator[slice]:
+    """Consecutive slices of at most `size` rows; one empty slice for no rows."""
+    return (slice(start, min(start + size, length)) for start in range(0, max(length, 1), size))

@@ -9,7 +9,7 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "stereo_ore"
 STAGES = ("rectify", "matching", "cloud", "voxels", "filters", "grizzly", "segment", "solid", "strike", "order")
-SHARED = ("types", "config", "errors", "transforms", "planes", "threads")
+SHARED = ("types", "config", "errors", "transforms", "planes", "threads", "network")
 HEAVY = ("open3d", "sklearn", "matplotlib", "plotly", "scipy.spatial", "pydantic", "cv2", "numpy")
 
 

@@ -12,11 +12,12 @@ from stereo_ore.bench.labelled import LabelledCloud, bare_cloud, paper_clouds, s
 from stereo_ore.config import FilterConfig
 from stereo_ore.filters.adaptive import run_passes
 from stereo_ore.filters.evidence import DENSITY_FEATURES, gather
-from stereo_ore.filters.scorer import Network, Scorer, load
+from stereo_ore.filters.scorer import Scorer, load
 from stereo_ore.filters.stereo import SURE, has_cues, image_space
 from stereo_ore.filters.stereo import gather as gather_stereo
 from stereo_ore.filters.surface import eigen, fit_planes
 from stereo_ore.metrics import filter_quality
+from stereo_ore.network import Network
 from stereo_ore.synth import paper_cloud
 
 

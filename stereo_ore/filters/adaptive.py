@@ -5,7 +5,8 @@ from __future__ import annotations
 from stereo_ore.config.filters import AdaptiveParams
 from stereo_ore.filters import stereo
 from stereo_ore.filters.evidence import Evidence, gather
-from stereo_ore.filters.scorer import Network, Scorer, load
+from stereo_ore.filters.scorer import Scorer, load
+from stereo_ore.network import Network
 from stereo_ore.types import F32, FilterResult, VoxelCloud
 
 

@@ -8,8 +8,9 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from stereo_ore.filters.neighbours import Index, Neighbours, by_neighbour, columns, map_rows, search
+from stereo_ore.filters.neighbours import Index, Neighbours, by_neighbour, columns, search
 from stereo_ore.filters.surface import LEAST, fit_planes, log_odds, votes
+from stereo_ore.threads import map_rows
 from stereo_ore.types import F32
 
 Rows = npt.NDArray[np.int64]

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from stereo_ore.threads import pool
+from stereo_ore.threads import each_chunk
 from stereo_ore.types import F32
 
-CHUNK = 4096
-"""Points worked on at a time: bounds the memory of temporaries, and keeps them in the processor's cache."""
-
 TINY = np.finfo(np.float32).tiny
-Scalar = TypeVar("Scalar", bound=np.generic)
 Index = npt.NDArray[np.integer[Any]]
 
 EXACT_TREE = {"algorithm": 4, "leaf_max_size": 16, "reorder": True}
@@ -70,7 +66,7 @@ def nearest(points: F32, at: F32, k: int) -> tuple[Index, F32]:
         i, d = tree(np.ascontiguousarray(at[rows] * down), k)
         index[:, rows], distance[:, rows] = i.T, (d * up).T
 
-    _each_chunk(fill, len(at))
+    each_chunk(fill, len(at))
     return index.T, distance.T
 
 
@@ -109,26 +105,6 @@ def by_neighbour(index: Index, rows: slice) -> npt.NDArray[np.intp]:
 def columns(*values: npt.NDArray[np.floating[Any]]) -> F32:
     """Columns (M, F) of (M,) arrays or of (M, f) ones, each lying in memory at a stretch."""
     return np.concatenate([np.atleast_2d(v.T) for v in values], dtype=np.float32).T
-
-
-def map_rows(function: Callable[[slice], npt.NDArray[Scalar]], length: int) -> npt.NDArray[Scalar]:
-    """What `function` gives for consecutive chunks of rows, one after the other, computed by all threads.
-
-    A chunk's result doesn't depend on the others, so the number of threads changes nothing.
-    """
-    return np.concatenate(_each_chunk(function, length))
-
-
-Result = TypeVar("Result")
-
-
-def _each_chunk(function: Callable[[slice], Result], length: int) -> list[Result]:
-    return list(pool().map(function, chunks(length)))
-
-
-def chunks(length: int, size: int = CHUNK) -> Iterator[slice]:
-    """Consecutive slices of at most `size` rows; one empty slice for no rows."""
-    return (slice(start, min(start + size, length)) for start in range(0, max(length, 1), size))
 
 
 def density(distance: F32) -> F32:

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from stereo_ore.config.filters import PaperParams
-from stereo_ore.filters.neighbours import Neighbours, by_neighbour, density, map_rows, search
+from stereo_ore.filters.neighbours import Neighbours, by_neighbour, density, search
+from stereo_ore.threads import map_rows
 from stereo_ore.types import F32, I32, FilterResult, Mask, VoxelCloud
 
 

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from stereo_ore.filters.evidence import ODDS_FEATURES, PLANE_FEATURES, Rows, mean_distances, mean_of
-from stereo_ore.filters.neighbours import columns, map_rows, nearest
+from stereo_ore.filters.neighbours import columns, nearest
 from stereo_ore.filters.surface import LEAST, fit_planes, log_odds
+from stereo_ore.threads import map_rows
 from stereo_ore.types import CUES, F32, VoxelCloud
 
 FLOORS = {"spread_px": 0.05, "lr_diff_px": 0.03, "texture": 0.3, "photometric": 0.03, "median_diff_px": 0.03}

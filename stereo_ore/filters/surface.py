@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stereo_ore.filters.neighbours import Index, by_neighbour, columns, map_rows
+from stereo_ore.filters.neighbours import Index, by_neighbour, columns
+from stereo_ore.threads import map_rows
 from stereo_ore.types import F32, F64
 
 SCALES = (0.3, 0.8)

@@ -12,9 +12,11 @@ from stereo_ore.bench.labelled import DIRECTIONS, LabelledCloud, bare_cloud, mad
 from stereo_ore.config.filters import AdaptiveParams
 from stereo_ore.filters.adaptive import judge, look
 from stereo_ore.filters.evidence import Evidence
-from stereo_ore.filters.scorer import Network, Scorer
+from stereo_ore.filters.scorer import Scorer
+from stereo_ore.network import Network
 from stereo_ore.synth import paper_cloud
-from stereo_ore.types import F32, Mask
+from stereo_ore.training.networks import fit_network
+from stereo_ore.types import Mask
 
 PASSES = {"geometry": 3, "stereo": 2}
 """A third pass adds 0.3 points of F1 on stereo clouds, which are large; their first takes what needs no surface."""
@@ -84,7 +86,7 @@ def train(clouds: Sequence[LabelledCloud], kind: str, seed: int = 0) -> Scorer:
         rows = [np.intersect1d(e.undecided(p), r) for e, p, r in zip(evidence, noise, chosen, strict=True)]
         seen = [e.features(p, r, number) for e, p, r in zip(evidence, noise, rows, strict=True)]
         truth = np.concatenate([label[r] for label, r in zip(labels, rows, strict=True)])
-        networks.append(_fit(np.concatenate(seen), truth, kind, seed))
+        networks.append(fit_network(np.concatenate(seen), truth, HIDDEN[kind], EPOCHS[kind], seed))
         noise = [judge(e, p, networks[-1], number) for e, p in zip(evidence, noise, strict=True)]
     return Scorer(list(evidence[0].names), networks, THRESHOLD[kind])
 
@@ -92,27 +94,3 @@ def train(clouds: Sequence[LabelledCloud], kind: str, seed: int = 0) -> Scorer:
 def _prepared(labelled: LabelledCloud) -> tuple[Evidence, Mask]:
     voxels, rows = filters.prepared(labelled.voxels)
     return look(voxels, AdaptiveParams().k)[1], labelled.is_noise[rows]
-
-
-def _fit(examples: F32, truth: Mask, kind: str, seed: int) -> Network:
-    import warnings
-
-    from sklearn.exceptions import ConvergenceWarning
-    from sklearn.neural_network import MLPClassifier
-
-    mean, scale = examples.mean(0, dtype=np.float64), examples.std(0, dtype=np.float64) + 1e-9
-    network = MLPClassifier(
-        (HIDDEN[kind],), max_iter=EPOCHS[kind], batch_size=1000, learning_rate_init=4e-3, random_state=seed
-    )
-    with warnings.catch_warnings():
-        # A fixed number of epochs is meant.
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        network.fit((examples - mean) / scale, truth)
-    (inner, outer), (bias, offset) = network.coefs_, network.intercepts_
-    rows = [_round(row) for row in inner]
-    return Network(_round(mean), _round(scale), rows, _round(bias), _round(outer[:, 0]), _round(offset)[0])
-
-
-def _round(values: npt.NDArray[np.float64]) -> list[float]:
-    """Five significant figures: readable, and more than the decision needs."""
-    return [float(f"{value:.5g}") for value in values]
