@@ -71,15 +71,17 @@ def convex_body(points: F64) -> Body | None:
         hull = ConvexHull(points)
     except QhullError:
         return None
-    inner = points[hull.vertices].mean(0)
+    outer = np.flatnonzero(np.bincount(hull.simplices.ravel()))
+    vertices = points[outer]
+    inner = vertices.mean(0)
     corners = points[hull.simplices] - inner
     volumes = np.abs((_cross(corners[:, 0], corners[:, 1]) * corners[:, 2]).sum(1)) / 6.0
     if not volumes.sum() > 0:
         return None
     centroid = inner + (volumes[:, None] * corners.sum(1)).sum(0) / (4.0 * volumes.sum())
     number = np.full(len(points), -1, np.int32)
-    number[hull.vertices] = np.arange(len(hull.vertices))
-    return Body(points[hull.vertices], number[hull.simplices], float(volumes.sum()), centroid)
+    number[outer] = np.arange(len(outer))
+    return Body(vertices, number[hull.simplices], float(volumes.sum()), centroid)
 
 
 def _cross(a: F64, b: F64) -> F64:
@@ -120,8 +122,8 @@ def smallest_box(body: Body) -> Box:
 
 def _widths(points: F64, directions: F64) -> F64:
     """Extent (D,) of points (N, 3) along unit directions (D, 3)."""
-    along = directions @ points.T
-    return np.asarray(along.max(1) - along.min(1))
+    along = points @ directions.T
+    return np.asarray(along.max(0) - along.min(0))
 
 
 def _face_normals(body: Body) -> F64:
