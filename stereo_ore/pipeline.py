@@ -198,12 +198,12 @@ def _describe(
     height, width = surface.xyz.shape[:2]
     labels = ore_map.labels[surface.y0 : surface.y0 + height, surface.x0 : surface.x0 + width]
     n = len(solids)
-    inside = np.flatnonzero(labels)
-    mine, xyz = labels.ravel()[inside], surface.xyz.reshape(-1, 3)[inside]
-    measured = np.isfinite(xyz[:, 2])
-    pixels = np.bincount(mine, minlength=n + 1)
-    points = np.bincount(mine[measured], minlength=n + 1)
-    sums = [np.bincount(mine[measured], axis, n + 1) for axis in xyz[measured].T]
+    inside = np.flatnonzero(labels > 0)
+    mine, xyz = labels.ravel()[inside].astype(np.intp), surface.xyz.reshape(-1, 3)[inside]
+    measured = np.flatnonzero(np.isfinite(xyz[:, 2]))
+    seen = mine[measured]
+    pixels, points = (np.bincount(each, minlength=n + 1) for each in (mine, seen))
+    sums = [np.bincount(seen, axis, n + 1) for axis in xyz[measured].T]
     centroids = np.stack(sums, 1) / np.maximum(points, 1)[:, None]
     return tuple(
         Ore(id, int(points[id]), int(pixels[id]), id in ore_map.cut, centroids[id], solids[id - 1], plans[id - 1])

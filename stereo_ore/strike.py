@@ -102,7 +102,8 @@ def _patches(surface: Surface, labels: I16, box: tuple[slice, ...], number: int,
     sigma_z = surface.sigma_z[rows, columns][seen].astype(np.float64)
     side = _window(z[seen], sigma_z, int(lump.sum()), rig, config)
     field = fit_planes(z, seen.astype(np.float32), side, rig)
-    edge_px = cv2.distanceTransform(np.pad(lump, 1).astype(np.uint8), cv2.DIST_L2, 3)[1:-1, 1:-1]
+    rimmed = cv2.copyMakeBorder(lump.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT)
+    edge_px = cv2.distanceTransform(rimmed, cv2.DIST_L2, 3)[1:-1, 1:-1]
     v, u = np.nonzero(seen)
     depth = field.depth(seen)
     return Patches(

@@ -41,7 +41,7 @@ def draw_sample(surface: Surface, config: GrizzlyConfig) -> Sample:
 
     The area grows with z², so that near and far parts of an oblique screen weigh the same.
     """
-    valid = int(np.isfinite(surface.xyz[..., 2]).sum())
+    valid = np.count_nonzero(np.isfinite(surface.xyz[..., 2]))
     step = max(1, int(np.sqrt(valid / SAMPLE)))
     xyz = surface.xyz[::step, ::step].reshape(-1, 3).astype(np.float64)
     sigma = surface.sigma_z[::step, ::step].reshape(-1).astype(np.float64)
@@ -120,10 +120,11 @@ def _inliers(sample: Sample, plane: Plane) -> Mask:
 
 def _least_squares(sample: Sample, inlier: Mask, fallback: Plane) -> Plane:
     """Total least squares through the inliers, each weighted by area over squared noise."""
-    if inlier.sum() < 3:
+    near = np.flatnonzero(inlier)
+    if len(near) < 3:
         return fallback
-    xyz = sample.xyz[inlier]
-    weight = sample.area[inlier] / np.maximum(sample.tolerance[inlier], 1e-6) ** 2
+    xyz = sample.xyz[near]
+    weight = sample.area[near] / np.maximum(sample.tolerance[near], 1e-6) ** 2
     centre = weight @ xyz / weight.sum()
     scatter = ((xyz - centre) * weight[:, None]).T @ (xyz - centre)
     normal = np.linalg.eigh(scatter)[1][:, 0]

@@ -77,7 +77,7 @@ class Parts:
 
 def measure(scene: Scene, labels: I32) -> Parts:
     """Measure parts with labels 1…n, 0 outside."""
-    inside = np.flatnonzero(labels)
+    inside = np.flatnonzero(labels > 0)
     mine = labels.ravel()[inside].astype(np.intp)
     count = int(labels.max(initial=0)) + 1
     maps = scene.relief.ravel()[inside], scene.edge.ravel()[inside], *scene.colour.reshape(-1, 3)[inside].T
@@ -139,7 +139,7 @@ def pair_features(scene: Scene, parts: Parts) -> F64:
 def part_features(scene: Scene, labels: I32) -> F64:
     """Features (n + 1, len(PART_FEATURES)) of the parts 0…n."""
     t, count = scene.threshold_px, int(labels.max(initial=0)) + 1
-    inside = np.flatnonzero(labels)
+    inside = np.flatnonzero(labels > 0)
     mine = labels.ravel()[inside].astype(np.intp)
     area = np.maximum(np.bincount(mine, minlength=count), 1)
     rim = np.flatnonzero((cv2.erode((labels > 0).astype(np.uint8), np.ones((3, 3), np.uint8)) == 0) & (labels > 0))

@@ -65,6 +65,6 @@ def renumbered(labels: I32, keep: Mask) -> I32:
     new = np.zeros(max(len(keep), 1), np.int32)
     new[kept] = np.arange(1, len(kept) + 1)
     out = np.zeros(labels.shape, np.int32)
-    inside = np.flatnonzero(labels != 0)
+    inside = np.flatnonzero(labels > 0)
     out.ravel()[inside] = new[labels.ravel()[inside]]
     return out

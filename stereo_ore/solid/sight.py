@@ -144,7 +144,7 @@ def _crop(surface: Surface, labels: I16, box: tuple[slice, ...], number: int, mi
     """Cut a lump out, with a margin and perhaps a stride, and smooth its surface by planes."""
     stride = max(1, round(float(np.sqrt((labels[box] == number).sum() / SURFACE_PIXELS))))
     rows, columns = (slice(max(s.start - MARGIN_PX * stride, 0), s.stop + MARGIN_PX * stride, stride) for s in box)
-    labels, xyz = labels[rows, columns], surface.xyz[rows, columns]
+    labels, xyz = labels[rows, columns], np.ascontiguousarray(surface.xyz[rows, columns])
     rig = crop_rig(surface.rig, surface.x0 + columns.start, surface.y0 + rows.start, stride)
     depth = np.ascontiguousarray(xyz[..., 2])
     lump, known = labels == number, np.isfinite(depth)
@@ -201,7 +201,7 @@ def _lump_frame(middle: F64, plane: Plane) -> tuple[F64, F64]:
     """Axes as rows and origin: the middle (3,) of the points brought down to the plane."""
     origin = middle - plane.height(middle) * plane.normal
     ray = middle / np.linalg.norm(middle)
-    steep = np.linalg.norm(np.cross(ray, plane.normal)) < 1e-3
+    steep = 1.0 - (ray @ plane.normal) ** 2 < 1e-6
     return frame_from_normal(plane.normal, np.array([0.0, -1.0, 0.0]) if steep else ray), origin
 
 
