@@ -98,15 +98,14 @@ def _ransac(sample: Sample, chosen: np.ndarray, config: GrizzlyConfig, rng: np.r
     # In parts: a larger product would wake a pool of threads, which takes longer than the product.
     along = np.concatenate([part @ columns for part in np.array_split(normals.astype(np.float32), 4)])
     distance = along - offsets.astype(np.float32)[:, None]
-    inlier = np.abs(distance) < tolerance.astype(np.float32)
-    score = inlier.astype(np.float32) @ area.astype(np.float32) * _spread(inlier, xyz)
+    inlier = (np.abs(distance) < tolerance.astype(np.float32)).astype(np.float32)
+    score = inlier @ area.astype(np.float32) * _spread(inlier, xyz)
     best = int(np.argmax(score))
     return Plane(normals[best], float(offsets[best]))
 
 
-def _spread(inlier: Mask, xyz: F64) -> F64:
-    """Root mean square distance of the inliers of each hypothesis from their centre, (K,) [m]."""
-    weight = inlier.astype(np.float32)
+def _spread(weight: F32, xyz: F64) -> F64:
+    """Root mean square distance of the inliers of each hypothesis, of weight 1, from their centre, (K,) [m]."""
     count = np.maximum(weight.sum(1), 1)
     centred = (xyz - xyz.mean(0)).astype(np.float32)
     mean = weight @ centred / count[:, None]

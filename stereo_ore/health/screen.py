@@ -153,6 +153,9 @@ def _spread(xyz: F64) -> float:
 def _deviation(xyz: F64, seen: Plane, plane: Plane, surface: Surface) -> Deviation:
     middle = xyz.mean(0)
     # A disparity's noise moves a point along its ray; what of that is along the normal is offset / z.
-    sigma = float(np.nanmedian(surface.sigma_z / surface.xyz[..., 2])) * abs(plane.offset)
+    share = surface.sigma_z / surface.xyz[..., 2]
+    share = share[np.isfinite(share)]
+    half = len(share) // 2
+    sigma = float(np.partition(share, half)[half]) * abs(plane.offset)
     tilt = float(np.arccos(np.clip(seen.normal @ plane.normal, -1, 1)))
     return Deviation(float(plane.height(middle)), tilt, sigma, sigma / _spread(xyz))
