@@ -66,6 +66,9 @@ def test_a_covered_eye_fails(covered: str, context: pipeline.Context, left: U8, 
     result = pipeline.process(StereoPair("0", 0, eyes["left"], eyes["right"]), context)
     assert result.status == "failed"
     assert result.targets == ()
+    codes = [reason.code for reason in result.reasons]
+    assert codes[-1] == "NO_POINTS"
+    assert "TOO_DARK" in codes
 
 
 def turned(image: U8, focal_px: float, angles: tuple[float, float, float]) -> U8:

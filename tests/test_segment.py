@@ -8,6 +8,7 @@ from screens import OPENING, RIG, WIDTH, Screen, draw
 from stereo_ore import grizzly, segment, synth
 from stereo_ore.config import GrizzlyConfig, SegmentConfig
 from stereo_ore.segment.cores import LEVEL_RATIO, cores
+from stereo_ore.segment.evidence import EDGE_VARIANCE, ore_mask
 from stereo_ore.segment.relief import fill_occlusions
 from stereo_ore.segment.split import valley_depth
 from stereo_ore.segment.weights import PART_FEATURES, Logistic, Weights, load
@@ -248,3 +249,29 @@ def test_half_occlusions_are_filled_from_the_farther_side_and_wide_gaps_are_not(
     row = np.array([[1, nan, nan, nan, 5, 5, nan, nan, nan, nan, nan, 5, nan, 1]], np.float32)
     expected = np.array([[1, 1, 1, 1, 5, 5, nan, nan, nan, nan, nan, 5, 1, 1]], np.float32)
     np.testing.assert_array_equal(fill_occlusions(row), expected)
+
+
+def test_gaps_at_a_border_and_across_rows_stay():
+    nan = np.nan
+    rows = np.array([[nan, 3, nan, 3], [nan, 2, 2, nan], [2, nan, 2, nan]], np.float32)
+    expected = np.array([[nan, 3, 3, 3], [nan, 2, 2, nan], [2, 2, 2, nan]], np.float32)
+    np.testing.assert_array_equal(fill_occlusions(rows), expected)
+
+
+@pytest.mark.parametrize("height", [3, 90, 401])
+def test_evidence_filtered_in_strips_is_that_of_the_whole_image(height: int):
+    rng = np.random.default_rng(height)
+    evidence = np.clip(cv2.GaussianBlur(rng.normal(0, 60, (height, 120)).astype(np.float32), (0, 0), 5), -1, 2)
+    grey = rng.integers(0, 255, evidence.shape, np.uint8)
+    whole = cv2.ximgproc.guidedFilter(grey, evidence, CONFIG.guide_radius_px, EDGE_VARIANCE)
+    likely = cv2.morphologyEx((whole > CONFIG.evidence).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    assert height < 50 or likely.any()
+    np.testing.assert_array_equal(ore_mask(evidence, grey, CONFIG, 0.0), likely > 0)
+
+
+def test_ore_of_fewer_pixels_is_none():
+    evidence = np.full((60, 90), -1, np.float32)
+    evidence[10:20, 10:20] = evidence[30:50, 40:80] = 2
+    mask = ore_mask(evidence, np.full(evidence.shape, 90, np.uint8), CONFIG, 300.0)
+    assert mask[40, 60]
+    assert not mask[:25, :30].any()
