@@ -94,23 +94,22 @@ def _ransac(sample: Sample, chosen: np.ndarray, config: GrizzlyConfig, rng: np.r
     if not keep.any():
         return None
     normals, offsets = normals[keep], offsets[keep]
-    columns = xyz.T.astype(np.float32)
+    points, limit, share = (values.astype(np.float32) for values in (xyz, tolerance, area))
     # In parts: a larger product would wake a pool of threads, which takes longer than the product.
-    along = np.concatenate([part @ columns for part in np.array_split(normals.astype(np.float32), 4)])
-    distance = along - offsets.astype(np.float32)[:, None]
-    inlier = (np.abs(distance) < tolerance.astype(np.float32)).astype(np.float32)
-    score = inlier @ area.astype(np.float32) * _spread(inlier, xyz)
-    best = int(np.argmax(score))
+    parts = (np.array_split(values.astype(np.float32), 4) for values in (normals, offsets))
+    scores = [_scores(*part, points, limit, share) for part in zip(*parts, strict=True)]
+    best = int(np.argmax(np.concatenate(scores)))
     return Plane(normals[best], float(offsets[best]))
 
 
-def _spread(weight: F32, xyz: F64) -> F64:
-    """Root mean square distance of the inliers of each hypothesis, of weight 1, from their centre, (K,) [m]."""
-    count = np.maximum(weight.sum(1), 1)
-    centred = (xyz - xyz.mean(0)).astype(np.float32)
-    mean = weight @ centred / count[:, None]
-    square = weight @ (centred**2).sum(1) / count
-    return np.asarray(np.sqrt(np.maximum(square - (mean**2).sum(1), 0)), dtype=np.float64)
+def _scores(normals: F32, offsets: F32, xyz: F32, tolerance: F32, area: F32) -> F32:
+    """Area of the inliers of each of K hypotheses times the root mean square distance from their centre, (K,)."""
+    inlier = (np.abs(normals @ xyz.T - offsets[:, None]) < tolerance).astype(np.float32)
+    count = np.maximum(inlier.sum(1), 1)
+    centred = xyz - xyz.mean(0)
+    mean = inlier @ centred / count[:, None]
+    square = inlier @ (centred**2).sum(1) / count
+    return np.asarray(inlier @ area * np.sqrt(np.maximum(square - (mean**2).sum(1), 0)), dtype=np.float32)
 
 
 def _inliers(sample: Sample, plane: Plane) -> Mask:
