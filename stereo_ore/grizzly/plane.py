@@ -97,7 +97,7 @@ def _ransac(sample: Sample, chosen: np.ndarray, config: GrizzlyConfig, rng: np.r
     points, limit, share = (values.astype(np.float32) for values in (xyz, tolerance, area))
     # In parts: a larger product would wake a pool of threads, which takes longer than the product.
     parts = (np.array_split(values.astype(np.float32), 4) for values in (normals, offsets))
-    scores = [_scores(*part, points, limit, share) for part in zip(*parts, strict=True)]
+    scores = [_scores(normal, offset, points, limit, share) for normal, offset in zip(*parts, strict=True)]
     best = int(np.argmax(np.concatenate(scores)))
     return Plane(normals[best], float(offsets[best]))
 
