@@ -35,7 +35,9 @@ def tune(
     cost: Annotated[Path | None, typer.Option(help="YAML: weights of precision, recall and retention.")] = None,
     train: Annotated[
         str | None,
-        typer.Option(help="geometry or stereo: train adaptive's scorer instead; segment: the models of lumps."),
+        typer.Option(
+            help="geometry or stereo: train adaptive's scorer instead; segment: the models of lumps; solids: the prior."
+        ),
     ] = None,
     scene: Annotated[list[Path] | None, typer.Option(help="Scene folder with truth to train on as well.")] = None,
 ) -> None:
@@ -80,7 +82,12 @@ def _train(out: Path, kind: str, seeds: int, scenes: list[Path]) -> None:
     from stereo_ore.bench.labelled import TUNING_SEED
     from stereo_ore.sinks.atomic import make_folder
 
-    trainers = {"geometry": _train_scorer, "stereo": _train_scorer, "segment": _train_segment}
+    trainers = {
+        "geometry": _train_scorer,
+        "stereo": _train_scorer,
+        "segment": _train_segment,
+        "solids": _train_solids,
+    }
     if kind not in trainers:
         raise ConfigError(f"{kind!r} can't be trained", key="--train", remedy=f"Use one of {', '.join(trainers)}")
     make_folder(out)
@@ -111,6 +118,24 @@ def _train_segment(_kind: str, seeds: range, scenes: list[Path]) -> str:
     weights, quality = lumps.train(views, SegmentConfig())
     log.info("on unseen scenes: %s", quality)
     return weights.to_json()
+
+
+def _train_solids(_kind: str, seeds: range, scenes: list[Path]) -> str:
+    """JSON of the solids' shape prior; its errors on scenes left out of the fit are logged."""
+    from stereo_ore.training import shape_prior, solids
+
+    folders = [sample for folder in scenes for sample in solids.samples(solids.recorded(folder))]
+    first = solids.FIRST_SEED
+    made = map(solids.made, range(first, first + len(seeds)))
+    found = [*folders, *(s for scene in _watched(made, len(seeds), "scenes") for s in solids.samples(scene))]
+    if not found:
+        raise ConfigError("no lump was found", key="--seeds", remedy="Give more seeds or scenes")
+    prior, errors = shape_prior.train(found)
+    for name, recorded in ("scene folders", True), ("made-up scenes", False):
+        rows = [i for i, s in enumerate(found) if s.seen_as == "measured" and s.recorded is recorded]
+        if rows:
+            log.info("%s left out: %s", name, shape_prior.quality([found[i] for i in rows], errors[rows], prior))
+    return prior.to_json()
 
 
 def _watched(items: Iterator[Item], total: int, what: str) -> Iterator[Item]:

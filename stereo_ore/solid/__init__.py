@@ -12,13 +12,13 @@ from stereo_ore.solid.prior import Estimate, load
 from stereo_ore.solid.sight import Sight, look
 from stereo_ore.types import F64, Grizzly, OreMap, Reason, Solid, Surface
 
-__all__ = ["METHOD", "solids"]
+__all__ = ["METHOD", "Cues", "Sight", "looks", "solids"]
 
 METHOD = "grounded hull corrected by a shape prior"
 FARTHEST, LARGEST = 1.5, 2.5
 """Bounds of the correction: shift of the centre over the lump's size, logarithm of the volume's ratio."""
-OUTLINE_FACTOR = 1.3
-"""The fit's residuals are those of true or nearly true outlines; those of the whole program are so much wider."""
+CUT_FACTOR = 2.0
+"""How much less sure all is of a lump that the image's border cuts."""
 
 
 def solids(surface: Surface, ore_map: OreMap, grizzly: Grizzly, config: SolidConfig) -> tuple[Solid | None, ...]:
@@ -43,16 +43,24 @@ def solids(surface: Surface, ore_map: OreMap, grizzly: Grizzly, config: SolidCon
     tuple
         Entry i is the solid of id i + 1, None when too little was seen of it to make one.
     """
+    return tuple(
+        _solid(*looked, grizzly.opening_m, number in ore_map.cut, config) if looked else None
+        for number, looked in enumerate(looks(surface, ore_map, grizzly, config), 1)
+    )
+
+
+def looks(
+    surface: Surface, ore_map: OreMap, grizzly: Grizzly, config: SolidConfig
+) -> tuple[tuple[Sight, Cues] | None, ...]:
+    """What the camera saw of every lump, as `solids` judges it; None when it is too little."""
     h, w = surface.sigma_z.shape
     labels = ore_map.labels[surface.y0 : surface.y0 + h, surface.x0 : surface.x0 + w]
     count = int(ore_map.labels.max(initial=0))
-    boxes = find_objects(labels, max_label=count) if count else []
-    found: list[Solid | None] = []
-    for number, box in enumerate(boxes, 1):
+    found: list[tuple[Sight, Cues] | None] = []
+    for number, box in enumerate(find_objects(labels, max_label=count) if count else [], 1):
         sight = look(surface, labels, box, number, grizzly.plane, config.min_points) if box else None
         cues = gather(sight, grizzly.bars, grizzly.opening_m) if sight else None
-        cut = number in ore_map.cut
-        found.append(_solid(sight, cues, grizzly.opening_m, cut, config) if sight and cues else None)
+        found.append((sight, cues) if sight and cues else None)
     return tuple(found)
 
 
@@ -63,7 +71,7 @@ def _solid(sight: Sight, cues: Cues, opening_m: float | None, cut: bool, config:
     shift *= min(1.0, FARTHEST * s / max(float(np.linalg.norm(shift)), 1e-12))
     ratio = np.clip(estimate.mean["volume"] - np.log(base.volume / s**3), -LARGEST, LARGEST)
     volume = float(np.exp(ratio) * base.volume)
-    factor = OUTLINE_FACTOR * (2.0 if cut else 1.0)
+    factor = CUT_FACTOR if cut else 1.0
     centre, spread = base.centroid + shift, config.volume_sigmas * estimate.sigma["volume"] * factor
     size = np.sort([s * np.exp(estimate.mean[name]) for name in DIMENSIONS])[::-1]
     vertices = centre + np.exp(ratio / 3) * (base.vertices - base.centroid)

@@ -13,6 +13,8 @@ from stereo_ore.types import F64, Bars
 
 FOOTPRINT = 0.6
 """Shrinking of the visible outline, seen from above, to what the lump stands on."""
+LONGEST_SHADOW, LEAST_SLOPE = 1.5, 0.3
+"""How deep a body may be behind its surface, as share of its size, and the least slope of a line of sight."""
 DIMENSIONS = ("longest", "middle", "shortest")
 
 
@@ -46,8 +48,7 @@ def gather(sight: Sight, bars: Bars | None, opening_m: float | None) -> Cues | N
     bodies = {
         "visible": convex_body(points),
         "grounded": convex_body(np.vstack([points, _footprint(outline, min(0.0, low))])),
-        "supported": convex_body(np.vstack([points, _footprint(outline, min(support, low))])),
-        "mirrored": convex_body(np.vstack([points, _mirrored(points, sight.silhouette, -0.25 * s)])),
+        "shadow": convex_body(np.vstack([points, _shadow(sight, points, support)])),
     }
     found = {name: body for name, body in bodies.items() if body is not None}
     if len(found) < len(bodies):
@@ -57,17 +58,17 @@ def gather(sight: Sight, bars: Bars | None, opening_m: float | None) -> Cues | N
     places |= {"outline": sight.outline.mean(0), "silhouette": sight.silhouette, "surface": sight.points.mean(0)}
     for name, place in places.items():
         even |= {f"{name}_x": place[0] / s, f"{name}_z": (place[2] - support) / s}
-    for name in ("visible", "mirrored", "grounded"):
-        body = found[name]
-        box = smallest_box(body)
-        dims = (longest_calliper(body.vertices), *box.extent[1:])
-        even |= {f"{name}_{key}": float(np.log(d / s)) for key, d in zip(DIMENSIONS, dims, strict=True)}
+    grounded = found["grounded"]
+    box = smallest_box(grounded)
+    dims = (longest_calliper(grounded.vertices), *box.extent[1:])
+    even |= {f"grounded_{key}": float(np.log(d / s)) for key, d in zip(DIMENSIONS, dims, strict=True)}
     even |= {f"{name}_volume": float(np.log(body.volume / s**3)) for name, body in found.items()}
-    even["tilt"] = sight.tilt
+    facing = sight.normals.mean(0)
+    even |= {"tilt": sight.tilt, "solidity": sight.solidity, "normal_x": float(facing[0])}
     even |= _view_cues(sight, points) | _ring_cues(sight, top, support) | _bar_cues(sight, outline, bars, opening_m)
-    odd = {name: float(place[1] / s) for name, place in places.items()}
+    odd = {name: float(place[1] / s) for name, place in places.items()} | {"normal": float(facing[1])}
     doubts = {name: even[name] for name in ("tilt", "hidden", "others")} | {"depth_noise": sight.sigma_z / s}
-    return Cues(even, odd, doubts, support, found["grounded"], box)
+    return Cues(even, odd, doubts, support, grounded, box)
 
 
 def _footprint(outline: F64, height: float) -> F64:
@@ -76,10 +77,10 @@ def _footprint(outline: F64, height: float) -> F64:
     return np.column_stack([middle + FOOTPRINT * (outline - middle), np.full(len(outline), height)])
 
 
-def _mirrored(points: F64, centre: F64, floor: float) -> F64:
-    """Points (N, 3) reflected in a centre, those below a floor left out."""
-    reflected = 2 * centre - points
-    return reflected[reflected[:, 2] > floor]
+def _shadow(sight: Sight, points: F64, support: float) -> F64:
+    """Points (N, 3) moved on along the line of sight to what carries the lump: the most that they can hide."""
+    way = (points[:, 2] - support) / max(-float(sight.view[2]), LEAST_SLOPE)
+    return points + np.clip(way, 0.0, LONGEST_SHADOW * sight.size)[:, None] * sight.view
 
 
 def _support(sight: Sight, low: float) -> float:
@@ -104,7 +105,7 @@ def _view_cues(sight: Sight, points: F64) -> dict[str, float]:
         "outline_far": _mean(along[far]), "outline_near": _mean(along[near]),
         "outline_side": _mean(along[~far & ~near]),
         "front": float((points @ view).min() - sight.outline.mean(0) @ view) / s, "back": float(along.max()),
-        "facing": float(facing.mean()), "facing_90": _percentiles(facing, 90)[0], "facing_spread": float(facing.std()),
+        "facing": float(facing.mean()), "facing_spread": float(facing.std()),
         "frontal": float(-(sight.normals @ view).mean()),
     }  # fmt: skip
 
@@ -124,9 +125,7 @@ def _ring_cues(sight: Sight, top: float, support: float) -> dict[str, float]:
         "neighbour": _percentiles(neighbour, 50)[0] * min(1.0, 5.0 * share),
     }  # fmt: skip
     low, middle, high, highest = _percentiles(heights, 25, 50, 75, 90)
-    found |= {"ring_25": low, "ring_50": middle, "ring_75": high, "ring_90": highest}
-    low, middle, high = _percentiles((sight.outline[:, 2] - support) / s, 10, 50, 90)
-    return found | {"outline_10": low, "outline_50": middle, "outline_90": high}
+    return found | {"ring_25": low, "ring_50": middle, "ring_75": high, "ring_90": highest}
 
 
 def _bar_cues(sight: Sight, outline: F64, bars: Bars | None, opening_m: float | None) -> dict[str, float]:

@@ -22,6 +22,8 @@ SURFACE_PIXELS = 3000
 """Larger lumps are looked at with a stride, for time."""
 SURFACE_SAMPLES = 700
 """Surface points used; more do not change the body."""
+THINNEST = 0.06
+"""Radius of the disc that fits everywhere into a silhouette, as share of its side: bars beside a lump are thinner."""
 MIXED_RMS = 0.1
 """A fitted plane whose residual exceeds this share of the lump's size mixes it with what lies behind."""
 STEP = 0.06
@@ -62,7 +64,8 @@ class Sight:
     Lengths in metres. `axes` (3, 3) are the frame's axes as rows and `origin` (3,) its origin, camera frame. `size` is
     the square root of the silhouette's area, `sigma_z` the depth noise of a pixel, `view` (3,) the viewing direction.
     `points` (N, 3) and `normals` (N, 3) sample the smoothed surface, `outline` (K, 3) is its own outline where nothing
-    hides it, `silhouette` (3,) the centroid of the filled silhouette at the outline's mean depth.
+    hides it, `silhouette` (3,) the centroid of the filled silhouette at the outline's mean depth, `solidity` its share
+    of its convex hull's area.
     """
 
     axes: F64
@@ -74,6 +77,7 @@ class Sight:
     normals: F64
     outline: F64
     silhouette: F64
+    solidity: float
     ring: Ring
 
     @property
@@ -114,7 +118,8 @@ def look(
     crop = _crop(surface, labels, box, number, min_points)
     if crop is None:
         return None
-    edge = _edge(crop.lump) & crop.seen
+    rim = _edge(crop.lump)
+    edge = rim & crop.seen
     if crop.seen.sum() < min_points or edge.sum() < MIN_OUTLINE:
         return None
     view = crop.points(np.flatnonzero(crop.seen)).mean(0)
@@ -136,6 +141,7 @@ def look(
         normals=crop.planes.normal(sample) @ axes.T,
         outline=(outline - origin) @ axes.T,
         silhouette=(middle - origin) @ axes.T,
+        solidity=_solidity(crop.lump, rim),
         ring=ring,
     )
 
@@ -147,7 +153,7 @@ def _crop(surface: Surface, labels: I16, box: tuple[slice, ...], number: int, mi
     labels, xyz = labels[rows, columns], np.ascontiguousarray(surface.xyz[rows, columns])
     rig = crop_rig(surface.rig, surface.x0 + columns.start, surface.y0 + rows.start, stride)
     depth = np.ascontiguousarray(xyz[..., 2])
-    lump, known = labels == number, np.isfinite(depth)
+    lump, known = _without_spurs(labels == number), np.isfinite(depth)
     seen = lump & known
     count = int(seen.sum())
     if count < min_points:
@@ -159,7 +165,22 @@ def _crop(surface: Surface, labels: I16, box: tuple[slice, ...], number: int, mi
     seen &= planes.rms < MIXED_RMS * size
     if not seen.any():
         return None
-    return _Crop(lump, (labels > 0) & ~lump, seen, known, xyz, planes, size, sigma_z, rig)
+    return _Crop(lump, (labels > 0) & (labels != number), seen, known, xyz, planes, size, sigma_z, rig)
+
+
+def _without_spurs(lump: Mask) -> Mask:
+    """The largest part of a silhouette that is nowhere thinner than `THINNEST` allows; all of it if there is none."""
+    radius = max(1, round(THINNEST * float(np.sqrt(lump.sum()))))
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+    opened = cv2.morphologyEx(lump.astype(np.uint8), cv2.MORPH_OPEN, disc)
+    count, parts, stats, _ = cv2.connectedComponentsWithStats(opened, connectivity=4)
+    return np.asarray(parts == 1 + stats[1:, cv2.CC_STAT_AREA].argmax()) if count > 1 else lump
+
+
+def _solidity(lump: Mask, rim: Mask) -> float:
+    """Share of its convex hull's area that a silhouette fills; the hull goes through the centres of its rim's pixels."""
+    hull = cv2.convexHull(cv2.findNonZero(rim.astype(np.uint8)))
+    return float(lump.sum() / (cv2.contourArea(hull) + 0.5 * cv2.arcLength(hull, True) + 1.0))
 
 
 def _window(pixel_m: float, sigma_z: float, count: int) -> int:

@@ -1,1 +1,1 @@
-"""Training of what is learned: the adaptive filter's scorers, and the segmentation's two logistic models."""
+"""Training of what is learned: the adaptive filter's scorers, the models of lumps, the solids' shape prior."""
