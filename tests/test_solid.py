@@ -199,7 +199,9 @@ def test_the_shipped_coefficients_fit_the_cues() -> None:
     assert set(shipped.even.cues) == set(cues.even)
     assert set(shipped.odd.cues) == set(cues.odd)
     assert set(cues.doubts) == set(prior.DOUBTS)
-    assert np.isfinite(shipped.even.weights).all()
+    for model in shipped.even, shipped.odd:
+        assert np.isfinite(model.weights).all()
+        assert (model.scale > 0.001).all()
 
 
 def test_a_mirrored_lump_gives_a_mirrored_answer() -> None:

@@ -46,7 +46,6 @@ def gather(sight: Sight, bars: Bars | None, opening_m: float | None) -> Cues | N
     low, top = _percentiles(sight.points[:, 2], 0.5, 99.5)
     support = _support(sight, low)
     bodies = {
-        "visible": convex_body(points),
         "grounded": convex_body(np.vstack([points, _footprint(outline, min(0.0, low))])),
         "shadow": convex_body(np.vstack([points, _shadow(sight, points, support)])),
     }
@@ -55,9 +54,10 @@ def gather(sight: Sight, bars: Bars | None, opening_m: float | None) -> Cues | N
         return None
     even: dict[str, float] = {"top": (top - support) / s, "low": (low - support) / s, "support": support / s}
     places = {name: body.centroid for name, body in found.items()}
-    places |= {"outline": sight.outline.mean(0), "silhouette": sight.silhouette, "surface": sight.points.mean(0)}
+    places |= {"outline": sight.outline.mean(0), "silhouette": sight.silhouette}
     for name, place in places.items():
         even |= {f"{name}_x": place[0] / s, f"{name}_z": (place[2] - support) / s}
+    even["surface_z"] = (float(sight.points[:, 2].mean()) - support) / s
     grounded = found["grounded"]
     box = smallest_box(grounded)
     dims = (longest_calliper(grounded.vertices), *box.extent[1:])

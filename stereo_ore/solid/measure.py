@@ -14,7 +14,7 @@ IN_PLANE_TURNS = 12
 """Turns of the box tried about each face normal: steps of 7.5°, whose loss in length is below 0.3 %."""
 BOX_FACES = 24
 """Faces tried as a side of the box, the largest first: the small ones of a rounded lump are nearly parallel to them."""
-DIRECTIONS = 120
+DIRECTIONS = 80
 """Directions in which a cloud's extreme points are sought."""
 TRIMMED = 0.01
 """Share of a cloud's points that may be wild: those farthest in a direction are passed over."""

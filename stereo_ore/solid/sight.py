@@ -18,9 +18,9 @@ MARGIN_PX = 10
 """Pixels around a lump's rectangle that are looked at."""
 RING_START_PX, RING_WIDTH = 3.0, 0.1
 """Where the ring around a lump begins, and its width as share of the lump's side."""
-SURFACE_PIXELS = 3000
+SURFACE_PIXELS = 2000
 """Larger lumps are looked at with a stride, for time."""
-SURFACE_SAMPLES = 700
+SURFACE_SAMPLES = 450
 """Surface points used; more do not change the body."""
 THINNEST = 0.06
 """Radius of the disc that fits everywhere into a silhouette, as share of its side: bars beside a lump are thinner."""
@@ -122,7 +122,9 @@ def look(
     edge = rim & crop.seen
     if crop.seen.sum() < min_points or edge.sum() < MIN_OUTLINE:
         return None
-    view = crop.points(np.flatnonzero(crop.seen)).mean(0)
+    sample = _thinned(crop.seen)
+    points = crop.points(np.flatnonzero(sample))
+    view = points.mean(0)
     axes, origin = _lump_frame(view, plane)
     ring, hidden = _ring(crop, edge, axes, origin)
     own = np.flatnonzero(edge.ravel() & ~hidden)
@@ -130,14 +132,13 @@ def look(
     outline = crop.points(own)
     v, u = np.nonzero(crop.lump)
     middle = crop.rig.back_project(u.mean(), v.mean(), outline[:, 2].mean())
-    sample = _thinned(crop.seen)
     return Sight(
         axes=axes,
         origin=origin,
         size=crop.size,
         sigma_z=crop.sigma_z,
         view=axes @ (view / np.linalg.norm(view)),
-        points=(crop.points(np.flatnonzero(sample)) - origin) @ axes.T,
+        points=(points - origin) @ axes.T,
         normals=crop.planes.normal(sample) @ axes.T,
         outline=(outline - origin) @ axes.T,
         silhouette=(middle - origin) @ axes.T,
@@ -178,7 +179,7 @@ def _without_spurs(lump: Mask) -> Mask:
 
 
 def _solidity(lump: Mask, rim: Mask) -> float:
-    """Share of its convex hull's area that a silhouette fills; the hull goes through the centres of its rim's pixels."""
+    """Share of its convex hull's area that a silhouette fills; the hull goes through the centres of pixels."""
     hull = cv2.convexHull(cv2.findNonZero(rim.astype(np.uint8)))
     return float(lump.sum() / (cv2.contourArea(hull) + 0.5 * cv2.arcLength(hull, True) + 1.0))
 
