@@ -70,6 +70,14 @@ def test_training_recovers_a_law_and_survives_its_file(tmp_path: Path) -> None:
     assert "b*b" in json.loads(file.read_text())["even"]
 
 
+def test_a_cue_that_never_varies_does_no_harm(tmp_path: Path) -> None:
+    still = [dataclasses.replace(s, cues=dataclasses.replace(s.cues, even={**s.cues.even, "b": 1.0})) for s in law(4)]
+    file = tmp_path / "prior.json"
+    file.write_text(shape_prior.train(still)[0].to_json())
+    estimate = prior.load(file).estimate({"a": 0.0, "b": 1.0, "c": 0.0}, {"p": 0.0, "q": 0.0}, NO_DOUBT)
+    assert np.isfinite(list(estimate.mean.values())).all()
+
+
 def test_sigma_holds_errors_of_scenes_left_out() -> None:
     found = law(2)
     fitted, errors = shape_prior.train(found)

@@ -26,6 +26,8 @@ INTERACTING = (
 """Cues of which every product counts; of the others their squares."""
 HUBER, ROUNDS = 1.0, 5
 """Errors beyond so many standard deviations count by their size instead of its square, for medians are what counts."""
+LEAST_SCALE = 1e-3
+"""A cue that varies less than this is not stretched: in few scenes some are constant."""
 HELD = 0.95
 """Share of the errors that two sigma hold."""
 JUDGED = ("measured", "unplaced")
@@ -113,12 +115,12 @@ def _folds(found: Sequence[Sample]) -> npt.NDArray[np.intp]:
 
 def _fit(table: _Table, names: tuple[tuple[str, ...], tuple[str, ...]]) -> tuple[Linear, Linear]:
     """Models of the targets from even cues, and of y, without a constant, from odd ones."""
-    mean, scale = np.average(table.even, 0, table.weight), table.even.std(0) + 1e-9
+    mean, scale = np.average(table.even, 0, table.weight), np.maximum(table.even.std(0), LEAST_SCALE)
     even = Linear(names[0], _pairs(names[0]), mean, scale, np.zeros(0), np.zeros(0))
     penalty = np.repeat([0.0, RIDGE, RIDGE_PRODUCTS], [1, len(even.cues), len(even.pairs)])
     terms = np.insert(even.terms(table.even), 0, 1.0, axis=1)
     rows = np.array([_ridge(terms, y, table.weight, penalty) for y in table.truth[:, :-1].T]).T
-    scale = np.sqrt((table.odd**2).mean(0)) + 1e-9
+    scale = np.maximum(np.sqrt((table.odd**2).mean(0)), LEAST_SCALE)
     odd = Linear(names[1], (), np.zeros(len(scale)), scale, np.zeros(0), np.zeros(1))
     penalty = np.full(len(scale), RIDGE_ODD)
     weights = _ridge(odd.terms(table.odd), table.truth[:, -1], table.weight, penalty)
