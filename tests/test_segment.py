@@ -1,3 +1,5 @@
+import dataclasses
+
 import cv2
 import numpy as np
 import pytest
@@ -9,8 +11,9 @@ from stereo_ore import grizzly, segment, synth
 from stereo_ore.config import GrizzlyConfig, SegmentConfig
 from stereo_ore.segment.cores import LEVEL_RATIO, cores
 from stereo_ore.segment.evidence import EDGE_VARIANCE, ore_mask
+from stereo_ore.segment.pixels import PIXEL_FEATURES, Sight, candidates, ore_probability, pixel_features
 from stereo_ore.segment.relief import fill_occlusions
-from stereo_ore.segment.split import valley_depth
+from stereo_ore.segment.split import smooth_relief, valley_depth
 from stereo_ore.segment.weights import PART_FEATURES, Logistic, Weights, load
 from stereo_ore.types import Grizzly, OreMap, Rig, Site, Surface
 
@@ -147,7 +150,7 @@ def test_what_is_small_or_cut_must_be_likelier_a_lump():
     config = CONFIG.model_copy(update={"small_pixels": int(areas.mean())})
     zeros, ones = ((value,) * len(PART_FEATURES) for value in (0.0, 1.0))
     two_of_three = Logistic(PART_FEATURES, zeros, ones, zeros, float(np.log(2)))
-    weights = Weights(load().pair, two_of_three)
+    weights = Weights(load().pixel, load().pair, two_of_three)
 
     def found(of: Surface, config: SegmentConfig) -> list[float]:
         labels = segment.segment(of, screen_of(screen, surface), None, config, weights).labels
@@ -259,19 +262,88 @@ def test_gaps_at_a_border_and_across_rows_stay():
 
 
 @pytest.mark.parametrize("height", [3, 90, 401])
-def test_evidence_filtered_in_strips_is_that_of_the_whole_image(height: int):
+def test_probability_filtered_in_strips_is_that_of_the_whole_image(height: int):
     rng = np.random.default_rng(height)
-    evidence = np.clip(cv2.GaussianBlur(rng.normal(0, 60, (height, 120)).astype(np.float32), (0, 0), 5), -1, 2)
-    grey = rng.integers(0, 255, evidence.shape, np.uint8)
-    whole = cv2.ximgproc.guidedFilter(grey, evidence, CONFIG.guide_radius_px, EDGE_VARIANCE)
-    likely = cv2.morphologyEx((whole > CONFIG.evidence).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-    assert height < 50 or likely.any()
-    np.testing.assert_array_equal(ore_mask(evidence, grey, CONFIG, 0.0), likely > 0)
+    likely = np.clip(cv2.GaussianBlur(rng.normal(0.5, 30, (height, 120)).astype(np.float32), (0, 0), 5), 0, 1)
+    grey = rng.integers(0, 255, likely.shape, np.uint8)
+    whole = cv2.ximgproc.guidedFilter(grey, likely, CONFIG.guide_radius_px, EDGE_VARIANCE) > CONFIG.ore_probability
+    opened = cv2.morphologyEx(whole.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    assert height < 50 or opened.any()
+    np.testing.assert_array_equal(ore_mask(likely, grey, CONFIG, 0.0), opened > 0)
 
 
 def test_ore_of_fewer_pixels_is_none():
-    evidence = np.full((60, 90), -1, np.float32)
-    evidence[10:20, 10:20] = evidence[30:50, 40:80] = 2
-    mask = ore_mask(evidence, np.full(evidence.shape, 90, np.uint8), CONFIG, 300.0)
+    likely = np.zeros((60, 90), np.float32)
+    likely[10:20, 10:20] = likely[30:50, 40:80] = 1
+    mask = ore_mask(likely, np.full(likely.shape, 90, np.uint8), CONFIG, 300.0)
     assert mask[40, 60]
     assert not mask[:25, :30].any()
+
+
+def sight_of(relief: np.ndarray, on_bar: np.ndarray, bgr: np.ndarray) -> Sight:
+    grey = cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY)
+    return Sight(
+        np.clip(np.nan_to_num(relief, nan=-1), -1, 2).astype(np.float32),
+        relief,
+        on_bar,
+        np.ones_like(relief),
+        bgr,
+        grey,
+    )
+
+
+def patch(height: float, colour: int, holes: float = 0.0) -> tuple[Sight, np.ndarray]:
+    """A square at a height [thresholds] on bars of grey level 150, a share of it not measured."""
+    rng = np.random.default_rng(0)
+    relief = rng.normal(0, 0.1, (90, 120)).astype(np.float32)
+    square = np.zeros(relief.shape, bool)
+    square[30:60, 40:80] = True
+    relief[square] += height
+    relief[square & (rng.random(relief.shape) < holes)] = np.nan
+    bgr = np.where(square[..., None], colour, 150) + rng.normal(0, 3, (90, 120, 3))
+    return sight_of(relief, np.ones(relief.shape, bool), np.clip(bgr, 0, 255).astype(np.uint8)), square
+
+
+@pytest.mark.parametrize("colour", [40, 150, 240])
+def test_what_stands_out_is_ore_whatever_its_colour(colour: int):
+    sight, square = patch(4.0, colour)
+    likely = ore_probability(sight, load().pixel)
+    inner = cv2.erode(square.astype(np.uint8), np.ones((13, 13), np.uint8)) > 0
+    assert likely[inner].min() == 1
+    assert likely[~square].mean() < 0.05
+
+
+def test_bars_and_what_was_hardly_measured_are_no_ore():
+    assert ore_probability(patch(0.0, 150)[0], load().pixel).max(initial=0) < 0.5
+    sight, square = patch(1.5, 150, holes=0.7)
+    assert ore_probability(sight, load().pixel)[square].mean() < 0.5
+
+
+def test_pixels_are_judged_near_evidence_alone():
+    sight, square = patch(4.0, 40)
+    at = candidates(sight)
+    near = cv2.dilate(square.astype(np.uint8), np.ones((27, 27), np.uint8)).ravel() > 0
+    assert np.isin(np.flatnonzero(square), at).all()
+    assert near[at].all()
+    assert np.isfinite(pixel_features(sight, at)).all()
+    assert pixel_features(sight, at).shape == (len(at), len(PIXEL_FEATURES))
+
+
+@pytest.mark.parametrize("what", ["relief", "bars"])
+def test_a_view_without_anything_measured_or_without_bars_has_features(what: str):
+    sight, _ = patch(4.0, 90)
+    if what == "relief":
+        sight = dataclasses.replace(sight, relief=np.full_like(sight.relief, np.nan))
+    else:
+        sight = dataclasses.replace(sight, on_bar=np.zeros_like(sight.on_bar))
+    assert np.isfinite(pixel_features(sight, candidates(sight))).all()
+
+
+def test_a_hole_in_a_lump_is_no_valley():
+    relief = np.full((80, 80), 6.0, np.float32)
+    relief[36:44, 36:44] = np.nan
+    mask = np.zeros(relief.shape, bool)
+    mask[10:70, 10:70] = True
+    smooth = smooth_relief(relief, mask, 1.5)
+    np.testing.assert_allclose(smooth[mask], 6.0, rtol=1e-4)
+    assert not smooth[~mask].any()

@@ -45,12 +45,12 @@ def ore_evidence(px: F32, between: Mask, threshold: float) -> F32:
     return evidence
 
 
-def ore_mask(evidence: F32, grey: U8, config: SegmentConfig, area: float) -> Mask:
+def ore_mask(probability: F32, grey: U8, config: SegmentConfig, area: float) -> Mask:
     """Pixels of ore where the image agrees on the outline, without connected parts of fewer pixels than `area`.
 
-    The evidence spreads over even areas of the grey image and stops at its edges (He et al. 2013, guided filter).
+    The probability spreads over even areas of the grey image and stops at its edges (He et al. 2013, guided filter).
     """
-    likely = _smoothed(evidence, grey, config.guide_radius_px) > config.evidence
+    likely = _smoothed(probability, grey, config.guide_radius_px) > config.ore_probability
     opened = cv2.morphologyEx(likely.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     _, labels = cv2.connectedComponents(opened, connectivity=4)
     mask: Mask = opened > 0
@@ -60,15 +60,15 @@ def ore_mask(evidence: F32, grey: U8, config: SegmentConfig, area: float) -> Mas
     return mask
 
 
-def _smoothed(evidence: F32, grey: U8, radius: int) -> F32:
-    """The evidence under the guided filter, in strips of rows that threads share."""
+def _smoothed(probability: F32, grey: U8, radius: int) -> F32:
+    """The probability under the guided filter, in strips of rows that threads share."""
     margin, height = 2 * radius, len(grey)
     cuts = [height * i // STRIPS for i in range(STRIPS + 1)]
 
     def strip(first: int, end: int) -> F32:
         top = max(first - margin, 0)
         rows = np.s_[top : end + margin]
-        smooth = cv2.ximgproc.guidedFilter(grey[rows], evidence[rows], radius, EDGE_VARIANCE)
+        smooth = cv2.ximgproc.guidedFilter(grey[rows], probability[rows], radius, EDGE_VARIANCE)
         return np.asarray(smooth[first - top : end - top], dtype=np.float32)
 
     return np.concatenate(list(pool().map(strip, cuts[:-1], cuts[1:])))

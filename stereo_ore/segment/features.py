@@ -25,9 +25,9 @@ class Scene:
 
     `relief` is smoothed, 0 outside the ore [px]; `raw` as measured, NaN where not. `valleys` (3, h, w) are valley
     depths [px] at three reaches, `edge` the strength of image edges over its mean on ore, `step` the slope of the
-    relief [sigma/px], `colour` (h, w, 3) CIE Lab; `on_bar` where a point lies over a bar, `inside` how far from the
-    screen's sides [openings, at most 1]. `opening_px` is the
-    opening, `threshold_px` the relief that stands out.
+    relief [sigma/px], `colour` (h, w, 3) CIE Lab; `likely` is the probability of ore, `on_bar` where a point lies over
+    a bar, `inside` how far from the screen's sides [openings, at most 1]. `opening_px` is the opening, `threshold_px`
+    the relief that stands out.
     """
 
     relief: F32
@@ -36,6 +36,7 @@ class Scene:
     edge: F32
     step: F32
     colour: F32
+    likely: F32
     on_bar: Mask
     inside: F32
     sigma_px: float
@@ -165,6 +166,8 @@ def part_features(scene: Scene, labels: I32) -> F64:
             np.log1p(mean(scene.edge.ravel()[inside])),
             np.log1p(_sums(on_rim, scene.step, rim, count) / rim_length),
             mean(scene.inside.ravel()[inside]),
+            mean(scene.likely.ravel()[inside]),
+            np.log1p(mean(np.maximum(relief, 0)) * (t / scene.sigma_px)),
         ]
     )
 

@@ -7,13 +7,28 @@ import numpy as np
 
 from stereo_ore.types import F32, Mask
 
+HOLES = (1.0, 3.0, 8.0)
+"""Widths of the Gaussian; the first that finds enough measured pixels counts."""
+FEW = 0.15
+"""Share of measured pixels under a Gaussian below which a wider one is taken."""
+
 
 def smooth_relief(relief: F32, mask: Mask, sigma: float) -> F32:
-    """Gaussian mean of the relief over the mask's measured pixels; 0, the plane, outside the mask."""
+    """Gaussian mean of the relief over the mask's measured pixels; 0, the plane, outside the mask.
+
+    Where hardly any pixel near by was measured the Gaussian is wider, so that a hole is no valley.
+    """
     weight = (np.isfinite(relief) & mask).astype(np.float32)
     value = np.where(weight > 0, relief, 0).astype(np.float32)
-    mean = cv2.GaussianBlur(value, (0, 0), sigma) / np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma), 1e-3)
-    return np.where(mask, mean, 0).astype(np.float32)
+    mean, bare = np.zeros_like(value), mask
+    for width in HOLES:
+        share = np.asarray(cv2.GaussianBlur(weight, (0, 0), width * sigma), np.float32)
+        near = bare & (share > FEW)
+        mean[near] = cv2.GaussianBlur(value, (0, 0), width * sigma)[near] / share[near]
+        bare = bare & ~near
+        if not bare.any():
+            break
+    return mean
 
 
 def valley_depth(relief: F32, reach: int) -> F32:

@@ -1,4 +1,4 @@
-"""Two logistic models, learned on scenes with known lumps: `tune --train segment` fits them."""
+"""What is learned on scenes with known lumps, by `tune --train segment`: a network of pixels, two logistic models."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from scipy.special import expit
 
+from stereo_ore.network import Network
+from stereo_ore.segment.pixels import PIXEL_FEATURES
 from stereo_ore.types import F64
 
 PAIR_FEATURES = (
@@ -20,6 +22,7 @@ PAIR_FEATURES = (
 """Of two neighbouring parts: how sure it is that they are one lump."""
 PART_FEATURES = (
     "relief", "high_share", "area", "measured", "on_bar", "solidity", "rim_edge", "edge", "rim_step", "inside",
+    "likely", "relief_sigmas",
 )  # fmt: skip
 """Of a part: how sure it is that it is a lump, and not a wrong match, rubble or steel."""
 
@@ -48,8 +51,9 @@ class Logistic:
 
 @dataclass(frozen=True)
 class Weights:
-    """Both models."""
+    """The network of `pixels.PIXEL_FEATURES`, and both models."""
 
+    pixel: Network
     pair: Logistic
     part: Logistic
 
@@ -70,8 +74,9 @@ class Weights:
         ValueError
             When they were fitted to other features than are measured now.
         """
-        weights = cls(Logistic.from_dict(data["pair"]), Logistic.from_dict(data["part"]))
-        if (weights.pair.features, weights.part.features) != (PAIR_FEATURES, PART_FEATURES):
+        weights = cls(Network(**data["pixel"]), Logistic.from_dict(data["pair"]), Logistic.from_dict(data["part"]))
+        known = weights.pair.features, weights.part.features, len(weights.pixel.mean)
+        if known != (PAIR_FEATURES, PART_FEATURES, len(PIXEL_FEATURES)):
             raise ValueError("the models were fitted to other features")
         return weights
 

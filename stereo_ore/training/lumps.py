@@ -1,4 +1,4 @@
-"""Training of the segmentation's logistic models on scenes whose lumps are known."""
+"""Training of what segmentation has learned, on scenes whose lumps are known."""
 
 from __future__ import annotations
 
@@ -13,21 +13,28 @@ import numpy.typing as npt
 from stereo_ore import evaluate, metrics, pipeline, segment, sources, synth
 from stereo_ore.bench.scene_files import load_rig
 from stereo_ore.config import Config, FilterConfig, SegmentConfig
+from stereo_ore.network import Network
 from stereo_ore.segment.features import join, measure, pair_features, part_features
 from stereo_ore.segment.merge import merge_parts
 from stereo_ore.segment.outline import filled
+from stereo_ore.segment.pixels import candidates, pixel_features
+from stereo_ore.segment.view import measure_view
 from stereo_ore.segment.weights import PAIR_FEATURES, PART_FEATURES, Logistic, Weights
 from stereo_ore.synth.model import FIRST_LUMP
-from stereo_ore.types import F64, I32, Grizzly, Mask, Site, StereoCalibration, StereoPair, Surface, Volume
+from stereo_ore.training.networks import fit_network
+from stereo_ore.types import F32, F64, I32, U8, Grizzly, Mask, Site, StereoCalibration, StereoPair, Surface, Volume
 
 THRESHOLDS = (None, 0.25, 0.5)
 """Noise probabilities of the filter at which each scene is seen; None: the filter's own, with a screen given by the
 site, with one whose bars alone are given, and with one found."""
 
-FAMILIES = ("large", "paper", "hard", "large", "raw", "empty")
+FAMILIES = ("large", "paper", "hard", "raw")
 SIZES = ("HD720", "VGA", "HD720", "VGA", "HD1080")
 CROWD = 8
-"""Lumps at least on a crowded screen, of which there are three in seven: more of them touch."""
+"""Lumps at least on a crowded screen, of which there are three in seven: more of them touch. Two in nine are empty, and
+a third has angular lumps."""
+PIXELS, HIDDEN, EPOCHS = 1500, 16, 12
+"""Pixels of a view that the network learns from, its units, and how often it sees each pixel."""
 PURE = 0.6
 """Share of a part that must belong to one lump, or to none, for the part to be an example."""
 
@@ -86,8 +93,11 @@ class Quality:
 def made_views(seed: int) -> Iterator[View]:
     """Views of a synthetic scene; consecutive seeds take families and image sizes in turn."""
     spec = synth.sample_spec(seed, FAMILIES[seed % len(FAMILIES)], SIZES[seed % len(SIZES)])
-    if spec.lumps and seed % 7 < 3:
+    if seed % 7 < 3:
         spec = replace(spec, lumps=CROWD + seed % CROWD)
+    if seed % 9 < 2:
+        spec = replace(spec, lumps=0)
+    spec = replace(spec, angular=seed % 3 == 0)
     made = synth.scene(spec)
     wanted = tuple(
         lump.id
@@ -121,24 +131,37 @@ def _views(
 
 
 def train(views: Sequence[View], config: SegmentConfig, seed: int = 0) -> tuple[Weights, Quality]:
-    """Fit both models: pairs of parts that are one lump, then merged parts that are a lump.
+    """Fit the network of pixels, then the models of pairs of parts that are one lump and of parts that are a lump.
 
-    The second model sees parts merged by pair models that did not see their scene, as it will on new scenes. The
-    quality is that on scenes that neither model saw, in `FOLDS` folds by scene.
+    Each sees what those before it, fitted without its scene, make of a view, as it will on new scenes. The quality is
+    that on scenes that none of them saw, in `FOLDS` folds by scene.
     """
-    fold, pairs = _folds(views), _pairs(views, config, seed)
-    return _fitted(pairs, fold, views, config), _cross_validated(pairs, fold, views, config)
+    rng = np.random.default_rng(seed)
+    fold, pixels = _folds(views), [_pixels(view, config, rng) for view in views]
+    networks = [_network([p for p, f in zip(pixels, fold, strict=True) if f != k] or pixels) for k in range(FOLDS)]
+    seen = [Seen(view, int(f), networks[f]) for view, f in zip(views, fold, strict=True)]
+    pairs = [_pairs_of(s, config, rng) for s in seen]
+    pair, part = _fitted(pairs, seen, config)
+    return Weights(_network(pixels), pair, part), _cross_validated(pairs, seen, config)
 
 
-def _cross_validated(
-    pairs: Sequence[Examples], fold: npt.NDArray[np.intp], views: Sequence[View], config: SegmentConfig
-) -> Quality:
+@dataclass(frozen=True)
+class Seen:
+    """A view, its fold, and the network of pixels that was fitted without that fold."""
+
+    view: View
+    fold: int
+    network: Network
+
+
+def _cross_validated(pairs: Sequence[Examples], seen: Sequence[Seen], config: SegmentConfig) -> Quality:
     found = []
     for k in range(FOLDS):
-        seen, held = np.flatnonzero(fold != k).tolist(), np.flatnonzero(fold == k).tolist()
-        if held and seen:
-            weights = _fitted([pairs[i] for i in seen], fold[seen], [views[i] for i in seen], config)
-            found += [judge(views[i], config, weights) for i in held]
+        others = [i for i, s in enumerate(seen) if s.fold != k]
+        held = [s for s in seen if s.fold == k]
+        if held and others:
+            models = _fitted([pairs[i] for i in others], [seen[i] for i in others], config)
+            found += [judge(s.view, config, Weights(s.network, *models)) for s in held]
     return _pooled(found)
 
 
@@ -166,15 +189,33 @@ def _folds(views: Sequence[View]) -> npt.NDArray[np.intp]:
     return np.array([names.index(view.scene) % FOLDS for view in views])
 
 
-def _fitted(
-    pairs: Sequence[Examples], fold: npt.NDArray[np.intp], views: Sequence[View], config: SegmentConfig
-) -> Weights:
+def _fitted(pairs: Sequence[Examples], seen: Sequence[Seen], config: SegmentConfig) -> tuple[Logistic, Logistic]:
+    """The models of pairs and of parts."""
     parts = []
     for k in range(FOLDS):
-        others = [p for p, f in zip(pairs, fold, strict=True) if f != k] or list(pairs)
+        others = [p for p, s in zip(pairs, seen, strict=True) if s.fold != k] or list(pairs)
         model = _fit(others, PAIR_FEATURES)
-        parts += [_parts(v, config, model) for v, f in zip(views, fold, strict=True) if f == k]
-    return Weights(_fit(pairs, PAIR_FEATURES), _fit(parts, PART_FEATURES))
+        parts += [_parts(s, config, model) for s in seen if s.fold == k]
+    return _fit(pairs, PAIR_FEATURES), _fit(parts, PART_FEATURES)
+
+
+def _pixels(view: View, config: SegmentConfig, rng: np.random.Generator) -> tuple[F32, Mask]:
+    """Features (N, F) and truths (N,) of some of a view's pixels that may be ore; more of a view that weighs more.
+
+    Half of them are ore, as many of each lump: a small one must not be lost for the sake of a large one's outline.
+    """
+    sight = measure_view(view.surface, view.grizzly, config, bounded=view.volume is not None).sight
+    at, count = rng.permutation(candidates(sight)), int(PIXELS * view.weight)
+    lump = _cropped(view).ravel()[at]
+    lumps = [at[lump == number] for number in np.unique(lump[lump >= FIRST_LUMP])]
+    others = at[lump < FIRST_LUMP][: count // 2 if lumps else count]
+    chosen = np.sort(np.concatenate([others, *(of_one[: count // 2 // len(lumps)] for of_one in lumps)]))
+    return pixel_features(sight, chosen), _cropped(view).ravel()[chosen] >= FIRST_LUMP
+
+
+def _network(pixels: Sequence[tuple[F32, Mask]]) -> Network:
+    features, truth = (np.concatenate(column) for column in zip(*pixels, strict=True))
+    return fit_network(features, truth, HIDDEN, EPOCHS, seed=0)
 
 
 def _fit(examples: Sequence[Examples], names: tuple[str, ...]) -> Logistic:
@@ -195,15 +236,10 @@ def _rounded(values: F64) -> tuple[float, ...]:
     return tuple(float(f"{value:.4g}") for value in values)
 
 
-def _pairs(views: Sequence[View], config: SegmentConfig, seed: int) -> list[Examples]:
+def _pairs_of(seen: Seen, config: SegmentConfig, rng: np.random.Generator) -> Examples:
     """Neighbouring parts, first as cut, then as more and more of those of one lump are joined in random order."""
-    rng = np.random.default_rng(seed)
-    return [_pairs_of(view, config, rng) for view in views]
-
-
-def _pairs_of(view: View, config: SegmentConfig, rng: np.random.Generator) -> Examples:
     features, truths = [], []
-    for heap in _heaps(view, config):
+    for heap in _heaps(seen, config):
         owner, purity = _owners(heap.labels, heap.instance)
         parts = measure(heap.scene, heap.labels)
         while len(parts.pairs):
@@ -219,20 +255,20 @@ def _pairs_of(view: View, config: SegmentConfig, rng: np.random.Generator) -> Ex
             for one, other in parts.pairs[chosen[: max(1, len(chosen) // 2)]].tolist():
                 into[into == into[other]] = into[one]
             parts = join(parts, into)
-    return Examples.of(features, truths, len(PAIR_FEATURES), view.weight)
+    return Examples.of(features, truths, len(PAIR_FEATURES), seen.view.weight)
 
 
-def _parts(view: View, config: SegmentConfig, pair: Logistic) -> Examples:
+def _parts(seen: Seen, config: SegmentConfig, pair: Logistic) -> Examples:
     """Merged parts that are large enough to be lumps."""
     features, truths = [], []
-    for heap in _heaps(view, config):
+    for heap in _heaps(seen, config):
         labels = filled(merge_parts(heap.scene, heap.labels, config.merge_probability, pair))
         owner, _ = _owners(labels, heap.instance)
         large = np.flatnonzero(np.bincount(labels.ravel()) > (config.min_size_m / heap.pixel_m) ** 2)
         large = large[large > 0]
         features.append(part_features(heap.scene, labels)[large])
         truths.append(owner[large] >= FIRST_LUMP)
-    return Examples.of(features, truths, len(PART_FEATURES), view.weight)
+    return Examples.of(features, truths, len(PART_FEATURES), seen.view.weight)
 
 
 @dataclass(frozen=True)
@@ -243,17 +279,22 @@ class _Heap:
     pixel_m: float
 
 
-def _heaps(view: View, config: SegmentConfig) -> Iterator[_Heap]:
+def _heaps(seen: Seen, config: SegmentConfig) -> Iterator[_Heap]:
     """The heaps of a view as cut into parts, and the truth at their size."""
-    row, column = view.surface.y0, view.surface.x0
-    height, width = view.surface.xyz.shape[:2]
-    instance = view.instance[row : row + height, column : column + width].astype(np.uint8)
-    looked = segment.look(view.surface, view.grizzly, config, bounded=view.volume is not None)
+    view, instance = seen.view, _cropped(seen.view)
+    looked = segment.look(view.surface, view.grizzly, config, seen.network, bounded=view.volume is not None)
     for box, coarse in segment.coarse_heaps(looked, config):
         scene, labels = segment.oversegment(coarse, config)
         if labels.any():
             small = cv2.resize(instance[box], labels.shape[::-1], interpolation=cv2.INTER_NEAREST)
             yield _Heap(scene, labels, small.astype(np.int32), coarse.relief.pixel_m)
+
+
+def _cropped(view: View) -> U8:
+    """The true labels of the surface's crop."""
+    row, column = view.surface.y0, view.surface.x0
+    height, width = view.surface.xyz.shape[:2]
+    return view.instance[row : row + height, column : column + width].astype(np.uint8)
 
 
 def _owners(labels: I32, instance: I32) -> tuple[npt.NDArray[np.intp], F64]:
