@@ -82,6 +82,7 @@ def pixel_features(sight: Sight, at: Indices) -> F32:
     measured = np.isfinite(sight.relief)
     relief = np.where(measured, np.clip(sight.relief, LOWEST, HIGHEST), np.float32(LOWEST))
     guided, share = _guided(sight), measured.astype(np.float32)
+    above = share * relief
     smooth = np.asarray(cv2.GaussianBlur(sight.bgr, (0, 0), 1), dtype=np.uint8)
     colour, sparse = _lab(smooth.reshape(-1, 1, 3).take(at, axis=0))[:, 0], _lab(smooth[::STRIDE, ::STRIDE].copy())
     row, column = np.divmod(at, smooth.shape[1])
@@ -89,16 +90,14 @@ def pixel_features(sight: Sight, at: Indices) -> F32:
     kinds = guided > SURE_ORE, guided < SURE_OTHER, measured & sight.on_bar & (relief < BAR_RELIEF)
     groups: tuple[Callable[[], list[F32]], ...] = (
         lambda: [image.ravel()[at] for image in (sight.evidence, guided)],
-        *(lambda side=side: _means(share * relief, share, side, at) for side in SIDES),
+        *(lambda side=side: _means(above, share, side, at) for side in SIDES),
         lambda: [image.ravel()[at] for image in _extremes(relief)],
         lambda: [*_shades(sight.grey, at), sight.on_bar.ravel()[at].astype(np.float32), sight.inside.ravel()[at]],
         *(lambda kind=kind: _colours(colour, cell, _colour_near(sparse, kind)) for kind in kinds),
     )
-    out = np.empty((len(at), len(PIXEL_FEATURES)), np.float32)
     columns = [column for group in pool().map(lambda group: group(), groups) for column in group]
-    for number, values in enumerate(columns):
-        out[:, number] = values
-    return out
+    # Each column lies in memory at a stretch, which is several times faster than row upon row.
+    return np.stack(columns).T
 
 
 def _stands_out(features: F32) -> Mask:
