@@ -339,6 +339,16 @@ def test_a_view_without_anything_measured_or_without_bars_has_features(what: str
     assert np.isfinite(pixel_features(sight, candidates(sight))).all()
 
 
+@pytest.mark.parametrize("shape", [(1, 1), (1, 40), (3, 5), (9, 8)])
+@pytest.mark.parametrize("evidence", [-1.0, 2.0])
+def test_the_smallest_crops_are_judged(shape: tuple[int, int], evidence: float):
+    relief, bgr = np.full(shape, 5.0, np.float32), np.zeros((*shape, 3), np.uint8)
+    sight = Sight(np.full(shape, evidence, np.float32), relief, relief > 9, np.ones_like(relief), bgr, bgr[..., 0])
+    likely = ore_probability(sight, load().pixel)
+    assert likely.shape == shape
+    assert likely.all() == (evidence > 0)
+
+
 def test_a_hole_in_a_lump_is_no_valley():
     relief = np.full((80, 80), 6.0, np.float32)
     relief[36:44, 36:44] = np.nan
