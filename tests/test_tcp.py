@@ -85,7 +85,8 @@ def test_heartbeats_tell_that_the_program_lives(sink, monkeypatch):
 
 
 def test_a_consumer_that_reads_nothing_delays_nobody_and_is_cut_off(monkeypatch):
-    monkeypatch.setattr(tcp, "SEND_TIMEOUT_S", 0.3)
+    # Long enough for a reader on a busy machine, far longer than a publisher that does not wait takes.
+    monkeypatch.setattr(tcp, "SEND_TIMEOUT_S", 2.0)
     with TcpSink("127.0.0.1", 0) as sink:
         slow = socket.socket()
         slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
@@ -105,7 +106,7 @@ def test_a_consumer_that_reads_nothing_delays_nobody_and_is_cut_off(monkeypatch)
                 wait_for(lambda sequence=sequence: len(numbers) >= sequence - 20)
         reader.join(20)
         assert numbers == list(range(1, count + 1))
-        assert longest < 0.2, "publishing never waits for a consumer"
+        assert longest < 1.0, "publishing never waits for a consumer"
         wait_for(lambda: sink.state().consumers == 1, what="cut")
         assert sink.state().dropped > 0
         slow.close()
