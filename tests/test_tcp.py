@@ -91,6 +91,7 @@ def test_a_consumer_that_reads_nothing_delays_nobody_and_is_cut_off(monkeypatch)
         slow = socket.socket()
         slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         slow.connect(("127.0.0.1", sink.port))
+        wait_for(lambda: sink.state().consumers == 1)
         good = Consumer(sink)
         numbers: list[int] = []
         count = 4000
