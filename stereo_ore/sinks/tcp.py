@@ -98,7 +98,8 @@ class TcpSink:
                 if self._latest is not None:
                     consumer.outbox.put(self._latest)
                 self._consumers[consumer] = None
-            consumer.thread.start()
+                # Under the lock, for whoever finds a consumer may join its thread.
+                consumer.thread.start()
 
     def _leave(self, consumer: _Consumer) -> None:
         with self._lock:
