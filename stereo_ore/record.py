@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy.typing as npt
 
-from stereo_ore import transforms
-from stereo_ore.types import F64, FrameResult, Grizzly, Ore, Reason, Site, Solid, Strike
+from stereo_ore.types import FrameResult, Grizzly, Ore, Reason, Site, Solid, Strike
 
 SCHEMA = "stereo_ore/frame/1"
 DECIMALS = 6
@@ -21,7 +20,6 @@ Json = dict[str, Any]
 
 def record(result: FrameResult, site: Site) -> Json:
     """The record of one frame; lengths in metres, camera frame and, where the site gives it, arm frame."""
-    frames = _Frames(site.T_arm_camera)
     return {
         "schema": SCHEMA,
         "frame": result.name,
@@ -34,7 +32,7 @@ def record(result: FrameResult, site: Site) -> Json:
         "arm_frame": "arm" if site.T_arm_camera is not None else None,
         "counts": dict(result.counts),
         "grizzly": _grizzly(result.grizzly),
-        "ores": [_ore(ore, frames) for ore in result.ores],
+        "ores": [_ore(ore) for ore in result.ores],
         "targets": list(result.targets),
     }
 
@@ -42,21 +40,6 @@ def record(result: FrameResult, site: Site) -> Json:
 def to_line(data: Json) -> str:
     """One line of JSON without spaces; raises ValueError for a NaN, which JSON does not have."""
     return json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
-
-
-class _Frames:
-    """Points and directions in the camera's and, when known, the arm's frame."""
-
-    def __init__(self, T_arm_camera: F64 | None) -> None:
-        self.T = T_arm_camera
-
-    def point(self, xyz: F64) -> Json:
-        arm = None if self.T is None else numbers(transforms.apply(self.T, xyz))
-        return {"camera": numbers(xyz), "arm": arm}
-
-    def direction(self, vector: F64) -> Json:
-        arm = None if self.T is None else numbers(transforms.rotate(self.T, vector))
-        return {"camera": numbers(vector), "arm": arm}
 
 
 def number(value: float) -> float | None:
@@ -81,29 +64,36 @@ def _grizzly(grizzly: Grizzly | None) -> Json | None:
     return {"normal": numbers(plane.normal), "offset_m": number(plane.offset), "source": grizzly.source, "rms_m": rms}
 
 
-def _ore(ore: Ore, frames: _Frames) -> Json:
+def _in_frames(part: Ore | Solid | Strike, vector: str) -> Json:
+    """A vector of a lump in the camera's and, where it is known, the arm's frame."""
+    arm = None if part.arm is None else numbers(getattr(part.arm, vector))
+    return {"camera": numbers(getattr(part, vector)), "arm": arm}
+
+
+def _ore(ore: Ore) -> Json:
     best, *others = ore.plan.strikes or (None,)
     strike = None
     if best is not None:
-        strike = _strike(best, frames) | {"alternates": [_strike(other, frames) for other in others]}
+        strike = _strike(best) | {"alternates": [_strike(other) for other in others]}
     solid = ore.solid
     return {
         "id": ore.id,
         "points": ore.points,
         "pixels": ore.pixels,
         "cut": ore.cut,
-        "surface_centroid": frames.point(ore.surface_centroid),
-        **_solid(solid, frames),
+        "surface_centroid": _in_frames(ore, "surface_centroid"),
+        **_solid(solid),
         "strike": strike,
         "reasons": _reasons((*ore.reasons, *(solid.reasons if solid else ()), *ore.plan.reasons)),
     }
 
 
-def _solid(solid: Solid | None, frames: _Frames) -> Json:
+def _solid(solid: Solid | None) -> Json:
     if solid is None:
         keys = ("centre_of_gravity", "volume_m3", "volume_bounds_m3", "size_m", "box", "oversize")
         return dict.fromkeys(keys)
-    centre = frames.point(solid.centre_of_gravity) | {"sigma_m": numbers(solid.sigma_m), "method": solid.method}
+    centre = _in_frames(solid, "centre_of_gravity")
+    centre |= {"sigma_m": numbers(solid.sigma_m), "method": solid.method}
     axes = [numbers(axis) for axis in solid.axes]
     return {
         "centre_of_gravity": centre,
@@ -115,10 +105,10 @@ def _solid(solid: Solid | None, frames: _Frames) -> Json:
     }
 
 
-def _strike(strike: Strike, frames: _Frames) -> Json:
+def _strike(strike: Strike) -> Json:
     return {
-        "point": frames.point(strike.point),
-        "direction": frames.direction(strike.direction),
+        "point": _in_frames(strike, "point"),
+        "direction": _in_frames(strike, "direction"),
         "slope_deg": number(math.degrees(strike.slope_rad)),
         "flatness_m": number(strike.flatness_m),
         "score": number(strike.score),

@@ -46,7 +46,9 @@ def environment() -> str:
     """What bytes may depend on beside the program."""
     wide = sorted({"AVX2", "AVX512F", "NEON"} & set(cv2.getCPUFeaturesLine().replace("*", "").split()))
     packages = {name: version(name) for name in ("numpy", "scipy")}
-    return " ".join([platform.machine(), *wide, f"opencv {cv2.__version__}", *(f"{k} {v}" for k, v in packages.items())])
+    return " ".join(
+        [platform.machine(), *wide, f"opencv {cv2.__version__}", *(f"{k} {v}" for k, v in packages.items())]
+    )
 
 
 @cache

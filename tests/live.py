@@ -16,13 +16,13 @@ from pathlib import Path
 from typing import Any
 
 from stereo_ore.errors import FrameError
+from stereo_ore.runs.folder import FrameLines, RunFolder
 from stereo_ore.serve.frames import LiveFrame
 from stereo_ore.serve.loop import serve
 from stereo_ore.serve.publisher import Publisher
 from stereo_ore.serve.status import Status
 from stereo_ore.serve.watch import FolderWatch
 from stereo_ore.sinks.message import Message, Origin, message
-from stereo_ore.sinks.run_folder import FrameLines, RunFolder
 
 
 def make_ore(id: int, index: int = 0) -> dict[str, Any]:

@@ -4,20 +4,21 @@ import json
 import threading
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from stereo_ore import batch
+from stereo_ore.chain import no_counts
+from stereo_ore.config import Config
 from stereo_ore.errors import FrameError, OutputError
-from stereo_ore.pipeline import COUNTS
-from stereo_ore.sinks.frame_files import npz
-from stereo_ore.sources import ahead
-from stereo_ore.sources.ahead import ReadAhead
-from stereo_ore.types import FrameResult, Reason, StereoPair
+from stereo_ore.runs import ahead, batch
+from stereo_ore.runs.ahead import ReadAhead
+from stereo_ore.runs.driver import Driver
+from stereo_ore.runs.frame_files import npz
+from stereo_ore.types import FrameResult, Site, StereoPair
 
 IMAGE = np.zeros((2, 2, 3), np.uint8)
 
@@ -65,46 +66,40 @@ class FakeFiles:
         self.done.append(result.index)
 
 
-@dataclass(frozen=True)
-class Context:
-    site: Any = None
+class FakeChain:
+    """A frame takes it 20 ms."""
+
+    config, site = Config(), Site()
+
+    def __call__(self, pair: StereoPair) -> FrameResult:
+        time.sleep(0.02)
+        return FrameResult(pair.name, pair.index, None, "ok", (), no_counts())
 
 
 @pytest.fixture
-def job(monkeypatch: pytest.MonkeyPatch) -> batch.Job:
-    """A job whose frames are read and written, and take 20 ms between."""
+def job() -> batch.Job:
+    return made()
 
-    def process(source: Any, index: int, context: Any) -> FrameResult:
-        counts = dict.fromkeys(COUNTS, 0)
-        try:
-            pair = source.read(index)
-        except FrameError as error:
-            return FrameResult(source.names[index], index, None, "failed", (Reason(error.code, str(error)),), counts)
-        time.sleep(0.02)
-        return FrameResult(pair.name, index, None, "ok", (), counts)
 
-    monkeypatch.setattr(batch, "process_frame", process)
-    monkeypatch.setattr(batch, "fused_indices", lambda source, index, context: range(index, index + 1))
-    monkeypatch.setattr(
-        batch, "frame_lines", lambda result, site, inputs: batch.FrameLines(json.dumps(result.index), "", "")
-    )
-    return batch.Job(Fake(), Context(), FakeFiles())  # type: ignore[arg-type]
+def made(source: Fake | None = None, files: FakeFiles | None = None, strict: bool = False) -> batch.Job:
+    driver = Driver(FakeChain(), files or FakeFiles())  # type: ignore[arg-type]
+    return batch.Job(source or Fake(), driver, strict)
 
 
 def indices(lines: Iterator[batch.FrameLines]) -> list[int]:
-    return [json.loads(entry.record) for entry in lines]
+    return [json.loads(entry.record)["index"] for entry in lines]
 
 
 def test_lines_come_in_order_and_after_their_files(job: batch.Job) -> None:
     for entry in batch.run(job, range(0, 12, 3)):
-        assert json.loads(entry.record) in job.files.done
-    assert job.files.done == [0, 3, 6, 9]
+        assert json.loads(entry.record)["index"] in job.driver.files.done
+    assert job.driver.files.done == [0, 3, 6, 9]
     assert [index for index, _ in job.source.calls] == [0, 3, 6, 9]
     assert {thread.split("_")[0] for _, thread in job.source.calls} == {"read ahead"}
 
 
 def test_reading_and_writing_cost_no_time_of_their_own(job: batch.Job) -> None:
-    slow = replace(job, source=Fake(seconds=0.02), files=FakeFiles(seconds=0.02))
+    slow = made(Fake(seconds=0.02), FakeFiles(seconds=0.02))
     start = time.perf_counter()
     [slow(index) for index in range(12)]
     one_by_one = time.perf_counter() - start
@@ -113,33 +108,32 @@ def test_reading_and_writing_cost_no_time_of_their_own(job: batch.Job) -> None:
     assert time.perf_counter() - start < 0.7 * one_by_one
 
 
-def test_what_waits_is_bounded(job: batch.Job) -> None:
-    slow = replace(job, files=FakeFiles(seconds=0.05))
+def test_what_waits_is_bounded() -> None:
+    slow = made(files=FakeFiles(seconds=0.05))
     lines = batch.run(slow, range(12))
     next(lines)
     assert len(slow.source.calls) <= batch.WRITES_AHEAD + 1 + ahead.FRAMES_AHEAD
     lines.close()
-    assert len(slow.files.done) <= batch.WRITES_AHEAD + 1, "frames in work are finished, no more are begun"
+    assert len(slow.driver.files.done) <= batch.WRITES_AHEAD + 1, "frames in work are finished, no more are begun"
 
 
 def test_a_frame_that_cannot_be_read_fails_alone(job: batch.Job) -> None:
-    assert indices(batch.run(replace(job, source=Fake(broken=(1, 4))), range(6))) == [0, 1, 2, 3, 4, 5]
+    assert indices(batch.run(made(Fake(broken=(1, 4))), range(6))) == [0, 1, 2, 3, 4, 5]
 
 
 def test_a_strict_job_gives_the_frames_before(job: batch.Job) -> None:
     found = []
     with pytest.raises(FrameError, match="frame 000004 failed: 4: is broken"):
         found.extend(
-            json.loads(entry.record)
-            for entry in batch.run(replace(job, source=Fake(broken=(4,)), strict=True), range(8))
+            json.loads(entry.record)["index"] for entry in batch.run(made(Fake(broken=(4,)), strict=True), range(8))
         )
     assert found == [0, 1, 2, 3]
 
 
 def test_a_full_disk_ends_the_run_at_its_frame(job: batch.Job) -> None:
-    full, found = replace(job, files=FakeFiles(broken=(3,))), []
+    full, found = made(files=FakeFiles(broken=(3,))), []
     with pytest.raises(OutputError, match="000003: disk full"):
-        found.extend(json.loads(entry.record) for entry in batch.run(full, range(8)))
+        found.extend(json.loads(entry.record)["index"] for entry in batch.run(full, range(8)))
     assert found == [0, 1, 2]
 
 

@@ -16,10 +16,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from runs import quarter_scene
 
-from stereo_ore import batch, calibration, cluster, pipeline, sources
-from stereo_ore.config import Config
+from stereo_ore import calibration, sources
+from stereo_ore.chain import Chain
 from stereo_ore.errors import ClusterError, FrameError, MissingExtraError, OutputError, StereoOreError
-from stereo_ore.sinks.frame_files import FrameFiles
+from stereo_ore.runs import batch, cluster
+from stereo_ore.runs.driver import Driver
+from stereo_ore.runs.frame_files import FrameFiles
 from stereo_ore.site import load_site
 
 pytest.importorskip("distributed", reason="the extra [cluster] is not installed")
@@ -83,10 +85,8 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def make_job(scene: Path, recording: Path, out: Path) -> batch.Job:
-    context = pipeline.make_context(
-        calibration.load(scene / "calibration.yaml"), load_site(scene / "site.yaml"), Config()
-    )
-    return batch.Job(sources.open_source(recording), context, FrameFiles(out))
+    chain = Chain(calibration.load(scene / "calibration.yaml"), load_site(scene / "site.yaml"))
+    return batch.Job(sources.open_source(recording), Driver(chain, FrameFiles(out)))
 
 
 def contents(folder: Path) -> dict[str, bytes]:

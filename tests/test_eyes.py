@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from stereo_ore import pipeline
 from stereo_ore.calibration import load
+from stereo_ore.chain import Chain
 from stereo_ore.config import load_config
 from stereo_ore.site import load_site
 from stereo_ore.types import U8, StereoPair
@@ -21,10 +21,8 @@ def eye(scene: Path, name: str) -> U8:
 
 
 @pytest.fixture(scope="module")
-def context() -> pipeline.Context:
-    return pipeline.make_context(
-        load(SCENE / "calibration.yaml"), load_site(SCENE / "site.yaml"), load_config(None, [])
-    )
+def chain() -> Chain:
+    return Chain(load(SCENE / "calibration.yaml"), load_site(SCENE / "site.yaml"), load_config(None, []))
 
 
 @pytest.fixture(scope="module")
@@ -37,14 +35,14 @@ def right() -> U8:
     return eye(SCENE, "right")
 
 
-def test_the_pair_as_recorded_gives_targets(context: pipeline.Context, left: U8, right: U8) -> None:
-    result = pipeline.process(StereoPair("0", 0, left, right), context)
+def test_the_pair_as_recorded_gives_targets(chain: Chain, left: U8, right: U8) -> None:
+    result = chain(StereoPair("0", 0, left, right))
     assert result.status == "ok"
     assert result.targets
 
 
 @pytest.mark.parametrize("fault", ["swapped", "upside down", "mirrored", "other moment", "rows apart", "same eye"])
-def test_eyes_that_disagree_are_degraded(fault: str, context: pipeline.Context, left: U8, right: U8) -> None:
+def test_eyes_that_disagree_are_degraded(fault: str, chain: Chain, left: U8, right: U8) -> None:
     eyes = {
         "swapped": (right, left),
         "upside down": (left[::-1, ::-1], right[::-1, ::-1]),
@@ -53,7 +51,7 @@ def test_eyes_that_disagree_are_degraded(fault: str, context: pipeline.Context, 
         "rows apart": (left, np.roll(right, 8, axis=0)),
         "same eye": (left, left),
     }
-    result = pipeline.process(StereoPair("0", 0, *map(np.ascontiguousarray, eyes[fault])), context)
+    result = chain(StereoPair("0", 0, *map(np.ascontiguousarray, eyes[fault])))
     assert result.status == "degraded"
     assert "EYES_DISAGREE" in [reason.code for reason in result.reasons]
     assert result.targets == ()
@@ -61,9 +59,9 @@ def test_eyes_that_disagree_are_degraded(fault: str, context: pipeline.Context, 
 
 
 @pytest.mark.parametrize("covered", ["left", "right"])
-def test_a_covered_eye_fails(covered: str, context: pipeline.Context, left: U8, right: U8) -> None:
+def test_a_covered_eye_fails(covered: str, chain: Chain, left: U8, right: U8) -> None:
     eyes = {"left": left, "right": right, covered: np.zeros_like(left)}
-    result = pipeline.process(StereoPair("0", 0, eyes["left"], eyes["right"]), context)
+    result = chain(StereoPair("0", 0, eyes["left"], eyes["right"]))
     assert result.status == "failed"
     assert result.targets == ()
     codes = [reason.code for reason in result.reasons]
@@ -81,18 +79,18 @@ def turned(image: U8, focal_px: float, angles: tuple[float, float, float]) -> U8
 
 @pytest.mark.parametrize("angles_mrad", [(0.5, 0, 0), (-0.5, 0, 0), (0, 0, 1.5), (0, 0, -1.5)])
 def test_a_calibration_that_is_off_by_little_is_told(
-    angles_mrad: tuple[float, float, float], context: pipeline.Context, left: U8, right: U8
+    angles_mrad: tuple[float, float, float], chain: Chain, left: U8, right: U8
 ) -> None:
     """About a quarter of a pixel: the matcher follows it, and the screen stays where it is."""
-    wrong = turned(right, context.rectifier.rig.fx, tuple(a / 1000 for a in angles_mrad))
-    result = pipeline.process(StereoPair("0", 0, left, wrong), context)
+    wrong = turned(right, chain.rig.fx, tuple(a / 1000 for a in angles_mrad))
+    result = chain(StereoPair("0", 0, left, wrong))
     assert "ROWS_DISAGREE" in [reason.code for reason in result.reasons]
     assert result.targets == ()
 
 
 @pytest.mark.parametrize("rows", [-9, -4, 2, 6])
-def test_rows_far_apart_are_told(rows: int, context: pipeline.Context, left: U8, right: U8) -> None:
+def test_rows_far_apart_are_told(rows: int, chain: Chain, left: U8, right: U8) -> None:
     """Bars along the columns match under any shift of rows."""
-    result = pipeline.process(StereoPair("0", 0, left, np.roll(right, rows, axis=0)), context)
+    result = chain(StereoPair("0", 0, left, np.roll(right, rows, axis=0)))
     assert "ROWS_DISAGREE" in [reason.code for reason in result.reasons]
     assert result.targets == ()

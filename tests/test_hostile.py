@@ -21,7 +21,7 @@ from runs import make_run, ore, quarter_scene, record
 from test_report import Page
 
 from stereo_ore.cli import launch
-from stereo_ore.results import Results
+from stereo_ore.runs.results import Results
 from stereo_ore.serve.frames import Position
 from stereo_ore.serve.watch import FolderWatch
 

@@ -153,8 +153,8 @@ def test_killed_before_each_operation_on_a_file_it_loses_no_frame(begin: str, tm
 
 def write_run(folder: Path, resume: bool, frames: int = FRAMES, finish: bool = True) -> int:
     """Write a run's folder as `run` does; the number of frames that were done before."""
+    from stereo_ore.runs.folder import FrameLines, RunFolder
     from stereo_ore.sinks.atomic import write_bytes
-    from stereo_ore.sinks.run_folder import FrameLines, RunFolder
 
     with RunFolder(folder, {"source": "here"}, resume=resume, overwrite=False) as run:
         for index in range(run.done, frames):

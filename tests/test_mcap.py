@@ -11,7 +11,7 @@ import pytest
 from runs import PERIOD, STAMP, cloud, make_run, ore, record
 
 from stereo_ore.errors import OutputError, SourceError
-from stereo_ore.results import Results
+from stereo_ore.runs.results import Results
 
 pytest.importorskip("rosbags", reason="the extra [bags] is not installed")
 

@@ -10,8 +10,8 @@ import pytest
 from runs import STAMP, make_run, ore, record
 
 from stereo_ore.errors import OutputError, SourceError
-from stereo_ore.results import Results
-from stereo_ore.sinks.ore_table import FIELDS
+from stereo_ore.runs.ore_table import FIELDS
+from stereo_ore.runs.results import Results
 
 pytest.importorskip("pyarrow", reason="the extra [parquet] is not installed")
 pytest.importorskip("duckdb", reason="duckdb is not installed")

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stereo_ore.pipeline import COUNTS
+from stereo_ore.chain import COUNTS
 from stereo_ore.record import number, record, to_line
 from stereo_ore.types import FrameResult, Grizzly, Ore, Plane, Reason, Site, Solid, Strike, StrikePlan
 
@@ -75,7 +75,9 @@ results = st.builds(
 @given(results, st.booleans())
 @settings(deadline=None, max_examples=60)
 def test_every_record_is_valid_and_survives_json(result: FrameResult, arm: bool) -> None:
-    data = record(result, Site(T_arm_camera=T_ARM_CAMERA if arm else None))
+    T = T_ARM_CAMERA if arm else None
+    result = replace(result, ores=tuple(ore.located(T) for ore in result.ores))
+    data = record(result, Site(T_arm_camera=T))
     VALIDATOR.validate(data)
     assert json.loads(to_line(data)) == data
 
@@ -97,7 +99,7 @@ def test_points_are_moved_and_directions_only_turned() -> None:
     strike = Strike(np.array([1.0, 2, 3]), np.array([0.0, 0, 1]), np.radians(8), 0.003, 0.9)
     ore = Ore(1, 5, 9, False, np.array([0.5, 0, 2]), None, StrikePlan((strike, replace(strike, score=0.4))))
     site = Site(T_arm_camera=T_ARM_CAMERA)
-    data = record(replace(FAILED, status="ok", ores=(ore,)), site)["ores"][0]
+    data = record(replace(FAILED, status="ok", ores=(ore.located(T_ARM_CAMERA),)), site)["ores"][0]
     assert data["surface_centroid"] == {"camera": [0.5, 0, 2], "arm": [1, 2.5, 1]}
     assert data["strike"]["point"]["arm"] == [3, 3, 0]
     assert data["strike"]["direction"] == {"camera": [0, 0, 1], "arm": [0, 0, -1]}

@@ -23,12 +23,12 @@ from typer.testing import CliRunner
 from stereo_ore.cli import app, load_verbs
 from stereo_ore.config import HealthConfig
 from stereo_ore.errors import FrameError, SourceError, StereoOreError
-from stereo_ore.health.history import Watch
+from stereo_ore.runs.driver import Driver
+from stereo_ore.runs.frame_files import FrameFiles
+from stereo_ore.runs.history import Watch
 from stereo_ore.serve.camera import Camera, open_camera
 from stereo_ore.serve.frames import LiveFrame, Position, Recording
-from stereo_ore.serve.loop import position
-from stereo_ore.serve.processing import Processor
-from stereo_ore.sinks.frame_files import FrameFiles
+from stereo_ore.serve.loop import position, processing
 from stereo_ore.sources import open_source
 from stereo_ore.types import Site
 
@@ -98,10 +98,11 @@ def test_a_recording_is_served_to_its_end(tmp_path):
 def test_a_fault_of_ours_is_a_failed_frame_and_no_end(tmp_path):
     frame = LiveFrame("f", 0, 0, (), lambda: 1 / 0)
 
-    class Context:
+    class Chain:
         site = Site()
 
-    record = json.loads(Processor(Context(), FrameFiles(tmp_path), Watch(HealthConfig()))(frame).record)
+    driver = Driver(Chain(), FrameFiles(tmp_path), unattended=True)
+    record = json.loads(processing(driver, Watch(HealthConfig()))(frame).record)
     assert (record["status"], record["reasons"][0]["code"], record["targets"]) == ("failed", "INTERNAL_ERROR", [])
 
 

@@ -11,7 +11,7 @@ import pytest
 from runs import make_run, ore, record
 
 from stereo_ore.errors import OutputError, SourceError
-from stereo_ore.results import Results
+from stereo_ore.runs.results import Results
 from stereo_ore.view import save_view
 
 HEADLESS = {key: value for key, value in os.environ.items() if key not in ("DISPLAY", "WAYLAND_DISPLAY")}

@@ -10,12 +10,13 @@ from dataclasses import dataclass, field, replace
 import cv2
 import numpy as np
 
-from stereo_ore import pipeline, synth
-from stereo_ore.batch import frame_lines
+from stereo_ore import synth
+from stereo_ore.chain import Chain
 from stereo_ore.config import Config
 from stereo_ore.errors import StereoOreError
-from stereo_ore.health.history import Watch
 from stereo_ore.record import Json
+from stereo_ore.runs.driver import frame_lines
+from stereo_ore.runs.history import Watch
 from stereo_ore.types import F64, U8, CameraModel, Plane, Site, StereoCalibration, StereoPair
 
 OTHER_ZED_BASELINE = 0.063 / 0.12
@@ -171,13 +172,13 @@ RAW_FAULTS: dict[str, Fault] = {
 def judge(case: Case, config: Config) -> Json | None:
     """The record of the last frame; None where the run is refused before the first."""
     try:
-        context = pipeline.make_context(case.calibration, case.site, config)
+        chain = Chain(case.calibration, case.site, config)
     except StereoOreError:
         return None
     watch = Watch(config.health)
     record: Json | None = None
     for index, pair in enumerate(case.frames):
-        lines = frame_lines(pipeline.process(replace(pair, index=index), context), case.site, [])
+        lines = frame_lines(chain(replace(pair, index=index)), case.site, [])
         record = json.loads(watch.judge(lines).record)
     return record
 

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from stereo_ore import cloud_io, evaluate, metrics, pipeline, sources, synth
+from stereo_ore import cloud_io, evaluate, metrics, sources, synth
 from stereo_ore.bench.scene_files import load_rig
+from stereo_ore.chain import Chain
 from stereo_ore.config import Config, FilterConfig
 from stereo_ore.errors import CloudError
 from stereo_ore.synth.paper_cloud import NOISE_SHARES, Direction
@@ -69,8 +70,8 @@ def _stereo(
     name: str, cell: str, pair: StereoPair, calib: StereoCalibration, site: Site, true_disparity: F64, instance: I32
 ) -> LabelledCloud:
     """The voxels of a frame; noise as `metrics.is_noise` says, from the true disparity (H, W), 0 = none."""
-    context = pipeline.make_context(calib, site, Config(filter=FilterConfig(method="none")))
-    grid, rig = pipeline.process(pair, context).voxels, context.rectifier.rig
+    chain = Chain(calib, site, Config(filter=FilterConfig(method="none")))
+    grid, rig = chain(pair).voxels, chain.rig
     if grid is None:
         raise CloudError("gives no cloud", file=name)
     K = np.array([[rig.fx, 0, rig.cx], [0, rig.fy, rig.cy], [0, 0, 1]])

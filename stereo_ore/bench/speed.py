@@ -15,13 +15,14 @@ import cv2
 import numpy as np
 
 from stereo_ore import calibration, synth
-from stereo_ore.batch import frame_lines
 from stereo_ore.bench.memory import peak_mb, sampled, stage_peaks_mb
+from stereo_ore.chain import Chain
 from stereo_ore.config import Config
-from stereo_ore.pipeline import Context, make_context, process_frame
-from stereo_ore.sinks.frame_files import FrameFiles
+from stereo_ore.runs.batch import Job
+from stereo_ore.runs.driver import Driver, frame_lines
+from stereo_ore.runs.frame_files import FrameFiles
 from stereo_ore.site import load_site
-from stereo_ore.sources import Source, open_source
+from stereo_ore.sources import open_source
 from stereo_ore.types import FrameResult, Site
 
 SEED = 2
@@ -76,20 +77,19 @@ def measure(size: str, scene: Path, site: bool, rounds: int) -> FrameCost:
 
 def _measure(size: str, scene: Path, site: bool, rounds: int) -> FrameCost:
     place = load_site(scene / "site.yaml") if site else Site()
-    context = make_context(calibration.load(scene / "calibration.yaml"), place, Config())
-    source = open_source(scene)
+    chain = Chain(calibration.load(scene / "calibration.yaml"), place, Config())
     with tempfile.TemporaryDirectory() as folder:
-        files = FrameFiles(Path(folder))
-        result = _frame(source, context)[0]
-        files.write(result)
-        peak, stage_peaks = _memory(source, context)
+        job = Job(open_source(scene), Driver(chain, FrameFiles(Path(folder))))
+        result = _frame(job)[0]
+        job.driver.files.write(result)
+        peak, stage_peaks = _memory(job)
         plain = _plain_matchers(result)
-        times = [_round(source, context, files, plain) for _ in range(rounds)]
+        times = [_round(job, plain) for _ in range(rounds)]
     frames = np.array([_total(t, ("files", *PLAIN)) for t in times])
     after = np.array([_total(t, ("files", *PLAIN, *BEFORE)) for t in times])
     plain_ms = {name: np.array([t[name] for t in times]) for name in PLAIN}
     return FrameCost(
-        size, site, _disparities(context),
+        size, site, _plain_disparities(chain.rig.fx),
         stages_ms={name: float(np.median([t[name] for t in times])) for name in times[0] if name not in PLAIN},
         frame_ms=float(np.median(frames)), after_ms=float(np.median(after)),
         files_ms=float(np.median([t["files"] for t in times])),
@@ -100,27 +100,26 @@ def _measure(size: str, scene: Path, site: bool, rounds: int) -> FrameCost:
     )  # fmt: skip
 
 
-def _round(
-    source: Source, context: Context, files: FrameFiles, plain: Mapping[str, Callable[[], object]]
-) -> dict[str, float]:
+def _round(job: Job, plain: Mapping[str, Callable[[], object]]) -> dict[str, float]:
     """Milliseconds of each stage, of the record, of the files, and of the plain matchers, one after the other."""
-    result, times = _frame(source, context)
-    times["files"] = _ms(lambda: files.write(result))
+    result, times = _frame(job)
+    times["files"] = _ms(lambda: job.driver.files.write(result))
     return times | {name: _ms(task) for name, task in plain.items()}
 
 
-def _frame(source: Source, context: Context) -> tuple[FrameResult, dict[str, float]]:
+def _frame(job: Job) -> tuple[FrameResult, dict[str, float]]:
     """A frame from file to record, and milliseconds of each stage."""
-    paths = source.files(0)
+    paths = job.source.files(0)
     for path in paths:
         os.utime(path)  # a file as new as each frame's: its hash is not remembered
-    result = process_frame(source, 0, context)
-    return result, dict(result.stages_ms) | {"record": _ms(lambda: frame_lines(result, context.site, paths))}
+    result = job.detect(0)
+    site = job.driver.chain.site
+    return result, dict(result.stages_ms) | {"record": _ms(lambda: frame_lines(result, site, paths))}
 
 
-def _memory(source: Source, context: Context) -> tuple[float | None, dict[str, float]]:
+def _memory(job: Job) -> tuple[float | None, dict[str, float]]:
     found: list[tuple[float, dict[str, float]]] = []
-    samples = sampled(lambda: found.append((time.perf_counter(), _frame(source, context)[1])))
+    samples = sampled(lambda: found.append((time.perf_counter(), _frame(job)[1])))
     return peak_mb(samples), stage_peaks_mb(samples, *found[0])
 
 
@@ -135,10 +134,6 @@ def _plain_matchers(result: FrameResult) -> dict[str, Callable[[], object]]:
         return lambda: matcher.compute(*grey)
 
     return {name: task(mode) for name, mode in PLAIN.items()}
-
-
-def _disparities(context: Context) -> int:
-    return _plain_disparities(context.rectifier.rig.fx)
 
 
 def _plain_disparities(focal_px: float) -> int:

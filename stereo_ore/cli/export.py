@@ -27,7 +27,7 @@ def export(
 
     Example: `stereo-ore export out results`; `stereo-ore export out tables --format parquet --camera north`
     """
-    from stereo_ore.results import Results
+    from stereo_ore.runs.results import Results
     from stereo_ore.sinks.mcap import write_mcap
     from stereo_ore.sinks.parquet import write_parquet
 

@@ -12,14 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from stereo_ore.errors import FrameError, MissingExtraError, SourceError
+from stereo_ore.errors import FrameError
 
 if TYPE_CHECKING:
-    from stereo_ore.batch import Job
-    from stereo_ore.pipeline import Context
-    from stereo_ore.sinks.run_folder import RunFolder
-    from stereo_ore.sources import Source
-    from stereo_ore.types import Site, StereoCalibration
+    from stereo_ore.runs.run import Progress
+    from stereo_ore.types import Site
 
 log = logging.getLogger(__name__)
 
@@ -76,97 +73,34 @@ def run(
 
     Example: `stereo-ore run recording --calib calib/zed2_hd720.yaml --site site.yaml --out out`
     """
-    from stereo_ore import batch, figures, pipeline
+    from stereo_ore.chain import Chain
+    from stereo_ore.cli.recording import calibration_of, open_recording
     from stereo_ore.config import load_config
-    from stereo_ore.sinks.frame_files import FrameFiles
-    from stereo_ore.sinks.run_folder import RunFolder
+    from stereo_ore.figures import require_matplotlib
+    from stereo_ore.runs.identity import InputFiles
+    from stereo_ore.runs.run import RunOptions, select
+    from stereo_ore.runs.run import run as run_frames
     from stereo_ore.site import load_site
     from stereo_ore.sources import limit_pixels
-    from stereo_ore.types import Site
 
     if scheduler and workers > 1:
         raise typer.BadParameter("give one of --workers and --scheduler")
     if pictures:
-        figures.require_matplotlib()
-    settings = [*(settings or ()), *([f"matching.fuse={fuse}"] if fuse else [])]
-    parameters = load_config(config, settings)
-    recording = _open(source, left, right, (left_topic, right_topic), max_skew_ms)
+        require_matplotlib()
+    options = RunOptions(
+        start, stop, every, clouds, overlays, pictures, save_stages, report, resume, overwrite,
+        strict, workers, scheduler,
+    )  # fmt: skip
+    parameters = load_config(config, [*(settings or ()), *([f"matching.fuse={fuse}"] if fuse else [])])
+    recording = open_recording(source, left, right, (left_topic, right_topic), max_skew_ms)
     recording = limit_pixels(recording, parameters.source.max_pixels)
-    calibration = _calibration(recording, calib)
-    place = load_site(site) if site else Site()
-    context = pipeline.make_context(calibration, place, parameters)
-    indices = range(len(recording.names))[start : stop : every or context.config.matching.fuse]
-    if not indices:
-        raise SourceError(f"has {_frames(len(recording.names))}, none of them selected", file=recording.path)
-    _announce(place, len(indices))
-    job = batch.Job(recording, context, FrameFiles(out, save_stages, pictures, clouds, overlays), strict)
-    description = _description(
-        recording, indices, context, {"calib": calib, "site": site, "config": config, "background": place.background}
-    )
-    with RunFolder(out, description, resume=resume, overwrite=overwrite) as folder:
-        _write_inputs(out, context, site)
-        _do_frames(job, indices, folder, workers, scheduler)
-        folder.finish()
-    if report:
-        _report(out, recording, indices, calibration)
+    chain = Chain(calibration_of(recording, calib), load_site(site) if site else None, parameters)
+    _announce(chain.site, len(select(recording, chain, options)))
+    with _progress() as progress:
+        page = run_frames(recording, chain, out, options, InputFiles(calib, site, config), progress)
+    if page:
+        typer.echo(f"report: {page}")
     _summarise(out)
-
-
-def _do_frames(job: Job, indices: range, folder: RunFolder, workers: int, scheduler: str | None) -> None:
-    """What is left of the frames, into the folder, by processes of this machine or the workers of a cluster."""
-    from stereo_ore import batch, cluster
-    from stereo_ore.health.history import Watch
-
-    todo = indices[folder.done :]
-    watch = Watch(job.context.config.health, folder.earlier())
-    with _progress(len(indices), folder.done) as advance, _stoppable():
-        for lines in cluster.run(job, todo, scheduler) if scheduler else batch.run(job, todo, workers):
-            folder.add(watch.judge(lines))
-            advance()
-
-
-def _open(
-    source: Path | None,
-    left: Path | None,
-    right: Path | None,
-    topics: tuple[str | None, str | None],
-    max_skew_ms: float,
-) -> Source:
-    from stereo_ore.sources import BagOptions, open_source, open_two_files
-
-    if left and right and source is None:
-        return open_two_files(left, right)
-    if source is None or left or right:
-        raise typer.BadParameter("give either SOURCE or both --left and --right")
-    match topics:
-        case (None, None):
-            return open_source(source, BagOptions(None, max_skew_ms))
-        case (str(left_topic), str(right_topic)):
-            return open_source(source, BagOptions((left_topic, right_topic), max_skew_ms))
-    raise typer.BadParameter("give both --left-topic and --right-topic, or neither")
-
-
-def _calibration(recording: Source, calib: Path | None) -> StereoCalibration:
-    """The calibration given or, without one, that of the recording."""
-    from stereo_ore.calibration import load
-
-    if calib:
-        return load(calib, image_size=_frame_size(recording))
-    if recording.calibration is None:
-        raise SourceError("carries no calibration", file=recording.path, remedy="Give one with --calib")
-    log.info("calibration: camera_info of the recording")
-    return recording.calibration
-
-
-def _frame_size(recording: Source) -> tuple[int, int] | None:
-    """Width and height of the first frame that can be read: some calibration files hold several resolutions."""
-    for index in range(len(recording.names)):
-        try:
-            left = recording.read(index).left
-        except FrameError:
-            continue
-        return left.shape[1], left.shape[0]
-    return None
 
 
 def _announce(site: Site, frames: int) -> None:
@@ -177,65 +111,8 @@ def _announce(site: Site, frames: int) -> None:
         log.warning("no grizzly opening in a site file: oversize stays unknown where it can't be measured")
 
 
-def _description(recording: Source, indices: range, context: Context, files: dict[str, Path | None]) -> dict[str, Any]:
-    from stereo_ore import matching
-    from stereo_ore.batch import sha256
-    from stereo_ore.sinks.run_folder import versions
-
-    region = context.region
-    return {
-        "schema": "stereo_ore/run/1",
-        "versions": versions(),
-        "source": str(recording.path),
-        "recording": dict(recording.description),
-        "frames": [indices.start, indices.stop, indices.step],
-        "parameters": context.config.model_dump(mode="json"),
-        "files": {key: {"path": str(path), "sha256": sha256(path)} for key, path in files.items() if path},
-        "search": {
-            "rectangle_px": [region.x0, region.y0, region.x1, region.y1],
-            "min_disparity_px": region.min_disparity,
-            "num_disparities": region.num_disparities,
-            "saved_share": matching.search_saved(context.rectifier.rig, region)["saved_share"],
-        },
-    }
-
-
-def _write_inputs(out: Path, context: Context, site: Path | None) -> None:
-    from stereo_ore.calibration import dump
-    from stereo_ore.config import dump_config
-    from stereo_ore.sinks.atomic import write_bytes, write_text
-
-    write_text(out / "config.yaml", dump_config(context.config))
-    write_text(out / "calibration.yaml", dump(context.calibration))
-    if site:
-        write_bytes(out / "site.yaml", site.read_bytes())
-
-
-def _report(out: Path, recording: Source, indices: range, calibration: StereoCalibration) -> None:
-    from stereo_ore.report import write_report
-    from stereo_ore.report.calibration import write_check
-
-    check = write_check(out, recording, indices, calibration)
-    for finding in check["findings"] if check else ():
-        log.warning("calibration %s: %s", finding["severity"], finding["text"])
-    try:
-        typer.echo(f"report: {write_report(out)}")
-    except MissingExtraError as error:
-        log.warning("no report.html: %s", error)
-
-
 @contextmanager
-def _stoppable() -> Iterator[None]:
-    """Say after Ctrl-C how to go on."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        log.warning("stopped; the same command with --resume continues")
-        raise
-
-
-@contextmanager
-def _progress(total: int, done: int) -> Iterator[Any]:
+def _progress() -> Iterator[Progress]:
     """A bar on a terminal, silence in a pipe or with -q."""
     from rich.console import Console
     from rich.progress import (
@@ -250,13 +127,13 @@ def _progress(total: int, done: int) -> Iterator[Any]:
     shown = sys.stderr.isatty() and log.isEnabledFor(logging.INFO)
     columns = (TextColumn("frames"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), disable=not shown) as bar:
-        task = bar.add_task("frames", total=total, completed=done)
-        yield lambda: bar.advance(task)
+        task = bar.add_task("frames", total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 def _summarise(out: Path) -> None:
     """What was found on standard output, and what went wrong on standard error."""
-    from stereo_ore.results import Results
+    from stereo_ore.runs.results import Results
 
     totals: Counter[str] = Counter()
     bad: list[Json] = []

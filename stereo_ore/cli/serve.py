@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import signal
 import threading
 from collections.abc import Iterator
@@ -13,12 +14,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from stereo_ore.pipeline import Context
+    from stereo_ore.runs.folder import RunFolder
     from stereo_ore.serve.frames import LiveSource
     from stereo_ore.serve.loop import Process
     from stereo_ore.sinks.base import TargetSink
     from stereo_ore.sinks.message import Origin
-    from stereo_ore.sinks.run_folder import RunFolder
+    from stereo_ore.types import StereoCalibration
 
 log = logging.getLogger(__name__)
 
@@ -40,7 +41,9 @@ def serve(
     source: Annotated[Path | None, typer.Argument(help="A recording, served as if it were live.")] = None,
     watch: Annotated[Path | None, typer.Option("--watch", help="Folder in which frames appear.")] = None,
     camera: Annotated[int | None, typer.Option("--camera", min=0, help="UVC camera, both eyes side by side.")] = None,
-    calib: Annotated[Path, typer.Option("--calib", help="Calibration of the camera.")] = ...,  # type: ignore[assignment]
+    calib: Annotated[
+        Path | None, typer.Option("--calib", help="Calibration of the camera; a bag may carry its own.")
+    ] = None,
     out: Annotated[Path, typer.Option("--out", help="Folder for the results; a run in it goes on.")] = ...,  # type: ignore[assignment]
     site: Annotated[Path | None, typer.Option(help="Site: arm, working volume, grizzly.")] = None,
     config: Annotated[Path | None, typer.Option(help="Parameters that differ from the defaults.")] = None,
@@ -49,6 +52,10 @@ def serve(
     opcua: OpcUaPort = None,
     mqtt: MqttPort = None,
     tcp: TcpPort = None,
+    size: Annotated[
+        str | None,
+        typer.Option(metavar="WxH", help="Pixels of one eye, for a calibration file of several; default: as seen."),
+    ] = None,
     page: Annotated[int | None, typer.Option(min=0, max=65535, help="Live page on this loopback port.")] = None,
     valid_for: ValidFor = 5.0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a different run in --out.")] = False,
@@ -60,22 +67,32 @@ def serve(
 
     Example: `stereo-ore serve --watch inbox --calib calib/zed2_hd720.yaml --site site.yaml --out live --opcua 4840`
     """
-    from stereo_ore.health.history import Watch
-    from stereo_ore.serve.processing import Processor
-    from stereo_ore.sinks.frame_files import FrameFiles
+    from stereo_ore.chain import Chain
+    from stereo_ore.config import load_config
+    from stereo_ore.runs.driver import Driver
+    from stereo_ore.runs.folder import RunFolder
+    from stereo_ore.runs.frame_files import FrameFiles
+    from stereo_ore.runs.history import Watch
+    from stereo_ore.runs.identity import InputFiles, description, write_inputs
+    from stereo_ore.serve.loop import processing
     from stereo_ore.sinks.message import Origin, transform_id
-    from stereo_ore.sinks.run_folder import RunFolder
     from stereo_ore.sinks.settings import load_sinks, open_sinks
+    from stereo_ore.site import load_site
 
     consumers = open_sinks(load_sinks(sinks, opcua=opcua, mqtt=mqtt, tcp=tcp))
-    context = _context(calib, site, config, settings or [])
-    frames = _open(source, watch, camera, context)
-    description = _description(frames.name, context, {"calib": calib, "site": site, "config": config})
-    with RunFolder(out, description, resume=not overwrite, overwrite=overwrite) as folder:
-        _write_inputs(out, context, site)
-        origin = Origin(transform_id=transform_id(context.site.T_arm_camera))
-        processor = Processor(context, FrameFiles(out), Watch(context.config.health, folder.earlier()))
-        run_live(frames, processor, folder, consumers, origin, valid_for, page)
+    parameters = load_config(config, settings or [])
+    frames, calibration = _open(source, watch, camera, calib, _size(size), parameters.source.max_pixels)
+    chain = Chain(calibration, load_site(site) if site else None, parameters)
+    if chain.site.T_arm_camera is None:
+        log.warning("no arm_from_camera in a site file: frames are recorded, but no target is ever published as valid")
+    inputs = InputFiles(calib, site, config)
+    about = description(frames.name, chain, inputs)
+    with RunFolder(out, about, resume=not overwrite, overwrite=overwrite) as folder:
+        write_inputs(out, chain, inputs)
+        origin = Origin(transform_id=transform_id(chain.site.T_arm_camera))
+        watcher = Watch(parameters.health, folder.earlier())
+        process = processing(Driver(chain, FrameFiles(out), unattended=True), watcher)
+        run_live(frames, process, folder, consumers, origin, valid_for, page)
 
 
 def run_live(
@@ -122,56 +139,41 @@ def _signals(stop: threading.Event) -> Iterator[None]:
             signal.signal(number, action)
 
 
-def _context(calib: Path, site: Path | None, config: Path | None, settings: list[str]) -> Context:
-    from stereo_ore import pipeline
+def _open(
+    source: Path | None,
+    watch: Path | None,
+    camera: int | None,
+    calib: Path | None,
+    size: tuple[int, int] | None,
+    max_pixels: int,
+) -> tuple[LiveSource, StereoCalibration]:
+    """Where frames come from, and the calibration for images of their size."""
     from stereo_ore.calibration import load
-    from stereo_ore.config import load_config
-    from stereo_ore.site import load_site
-    from stereo_ore.types import Site
-
-    place = load_site(site) if site else Site()
-    if place.T_arm_camera is None:
-        log.warning("no arm_from_camera in a site file: frames are recorded, but no target is ever published as valid")
-    return pipeline.make_context(load(calib), place, load_config(config, settings))
-
-
-def _open(source: Path | None, watch: Path | None, camera: int | None, context: Context) -> LiveSource:
+    from stereo_ore.cli.recording import calibration_of
     from stereo_ore.serve.camera import open_camera
     from stereo_ore.serve.frames import Recording
-    from stereo_ore.serve.watch import FolderWatch
+    from stereo_ore.serve.watch import FolderWatch, first_size
     from stereo_ore.sources import limit_pixels, open_source
 
-    max_pixels = context.config.source.max_pixels
-    match source, watch, camera:
-        case Path(), None, None:
-            return Recording(limit_pixels(open_source(source), max_pixels))
-        case None, Path(), None:
-            return FolderWatch(watch, max_pixels=max_pixels)
-        case None, None, int():
-            return open_camera(camera, context.calibration.image_size)
+    match source, watch, camera, calib:
+        case Path(), None, None, _:
+            recording = limit_pixels(open_source(source), max_pixels)
+            return Recording(recording), calibration_of(recording, calib, size)
+        case None, Path(), None, Path():
+            calibration = load(calib, image_size=size or first_size(watch))
+            return FolderWatch(watch, max_pixels=max_pixels), calibration
+        case None, None, int(), Path():
+            calibration = load(calib, image_size=size)
+            return open_camera(camera, calibration.image_size), calibration
+    if calib is None and source is None:
+        raise typer.BadParameter("--calib is needed: only a bag can carry its own calibration")
     raise typer.BadParameter("give one of SOURCE, --watch and --camera")
 
 
-def _description(source: str, context: Context, files: dict[str, Path | None]) -> dict[str, Any]:
-    """What the run is made from; the same after a restart, so that it may go on."""
-    from stereo_ore.batch import sha256
-    from stereo_ore.sinks.run_folder import versions
-
-    return {
-        "schema": "stereo_ore/run/1",
-        "versions": versions(),
-        "source": source,
-        "parameters": context.config.model_dump(mode="json"),
-        "files": {key: {"path": str(path), "sha256": sha256(path)} for key, path in files.items() if path},
-    }
-
-
-def _write_inputs(out: Path, context: Context, site: Path | None) -> None:
-    from stereo_ore.calibration import dump
-    from stereo_ore.config import dump_config
-    from stereo_ore.sinks.atomic import write_bytes, write_text
-
-    write_text(out / "config.yaml", dump_config(context.config))
-    write_text(out / "calibration.yaml", dump(context.calibration))
-    if site:
-        write_bytes(out / "site.yaml", site.read_bytes())
+def _size(text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    found = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", text.strip().lower())
+    if not found:
+        raise typer.BadParameter(f"--size {text!r} is no WIDTHxHEIGHT, such as 1280x720")
+    return int(found[1]), int(found[2])

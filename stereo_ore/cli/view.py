@@ -25,7 +25,7 @@ def view(
 
     Example: `stereo-ore view out --save out.rrd`
     """
-    from stereo_ore.results import Results
+    from stereo_ore.runs.results import Results
     from stereo_ore.view import open_view, save_view
 
     if save:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from stereo_ore.errors import SourceError
 from stereo_ore.npz_io import load_arrays
-from stereo_ore.results import Results
+from stereo_ore.runs.results import Results
 
 
 @dataclass(frozen=True)

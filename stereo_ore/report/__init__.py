@@ -6,7 +6,7 @@ from pathlib import Path
 
 from stereo_ore.report.data import page_data
 from stereo_ore.report.page import render
-from stereo_ore.results import Results
+from stereo_ore.runs.results import Results
 from stereo_ore.sinks.atomic import write_text
 
 __all__ = ["write_report"]

@@ -8,11 +8,13 @@ from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
-from stereo_ore.results import parse_record
+from stereo_ore.runs.driver import Driver
+from stereo_ore.runs.folder import FrameLines, RunFolder
+from stereo_ore.runs.history import Watch
+from stereo_ore.runs.results import parse_record
 from stereo_ore.serve.frames import LiveFrame, LiveSource, Position
 from stereo_ore.serve.publisher import Publisher
 from stereo_ore.serve.status import Status
-from stereo_ore.sinks.run_folder import FrameLines, RunFolder
 
 Process = Callable[[LiveFrame], FrameLines]
 
@@ -51,6 +53,16 @@ def serve(
         status.add(record)
         done += 1
     return done
+
+
+def processing(driver: Driver, watch: Watch) -> Process:
+    """Processing of live frames by an unattended driver, each judged by those before it."""
+
+    def process(frame: LiveFrame) -> FrameLines:
+        result = driver.detect(frame.name, frame.index, lambda: [frame.read()])
+        return watch.judge(driver.finish(result, frame.files))
+
+    return process
 
 
 def position(folder: Path) -> Position:

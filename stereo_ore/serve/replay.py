@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from stereo_ore.results import Json, Results
+from stereo_ore.runs.results import Json, Results
 from stereo_ore.types import F64
 
 DEFAULT_PERIOD_S = 1.0

@@ -13,11 +13,12 @@ import os
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from stereo_ore.config.models import MAX_PIXELS
-from stereo_ore.errors import SourceError
+from stereo_ore.errors import FrameError, SourceError
 from stereo_ore.serve.arrivals import Arrival, arrivals
 from stereo_ore.serve.frames import LiveFrame, Position
 from stereo_ore.sources import limit_pixels
@@ -162,3 +163,13 @@ def _frame(arrival: Arrival, index: int) -> LiveFrame:
     # The change time is when the file got its content here; copying tools carry the modification time over.
     arrived_ns = max((file.stat().st_ctime_ns for file in files if file.exists()), default=time.time_ns())
     return LiveFrame(arrival.name, index, arrived_ns, files, read)
+
+
+def first_size(folder: Path) -> tuple[int, int] | None:
+    """Width and height [px] of the first frame that lies in a folder already and can be read."""
+    for arrival in arrivals(folder, ()) if folder.is_dir() else ():
+        if arrival.paired:
+            with suppress(FrameError):
+                left = arrival.source.read(0).left
+                return left.shape[1], left.shape[0]
+    return None

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from stereo_ore import cloud_io
 from stereo_ore.errors import MissingExtraError, OutputError
 from stereo_ore.record import to_line
-from stereo_ore.results import Json, Results
+from stereo_ore.runs.results import Json, Results
 from stereo_ore.sinks.atomic import guarded
 from stereo_ore.sinks.ros_types import VISION_MSGS
 from stereo_ore.types import F64

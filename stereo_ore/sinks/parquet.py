@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stereo_ore.errors import MissingExtraError
-from stereo_ore.results import Json, Results
+from stereo_ore.runs.ore_table import FIELDS, ore_row
+from stereo_ore.runs.results import Json, Results
 from stereo_ore.sinks.atomic import guarded, make_folder
-from stereo_ore.sinks.ore_table import FIELDS, ore_row
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -10,8 +10,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from stereo_ore import evaluate, metrics, pipeline, segment, sources, synth
+from stereo_ore import evaluate, metrics, segment, sources, synth
 from stereo_ore.bench.scene_files import load_rig
+from stereo_ore.chain import Chain
 from stereo_ore.config import Config, FilterConfig, SegmentConfig
 from stereo_ore.network import Network
 from stereo_ore.segment.features import join, measure, pair_features, part_features
@@ -124,8 +125,7 @@ def _views(
     for threshold in THRESHOLDS:
         params = {} if threshold is None else {"threshold": threshold}
         for place in places[:1] if params else places:
-            context = pipeline.make_context(calibration, place, Config(filter=FilterConfig(params=params)))
-            result = pipeline.process(pair, context)
+            result = Chain(calibration, place, Config(filter=FilterConfig(params=params)))(pair)
             if result.surface is not None and result.grizzly is not None:
                 yield View(name, result.surface, result.grizzly, place.volume, instance, wanted)
 

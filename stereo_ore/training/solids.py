@@ -10,8 +10,9 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from stereo_ore import evaluate, metrics, pipeline, solid, sources, synth
+from stereo_ore import evaluate, metrics, solid, sources, synth
 from stereo_ore.bench.scene_files import load_rig
+from stereo_ore.chain import Chain
 from stereo_ore.config import Config, FilterConfig
 from stereo_ore.solid import Cues, Sight
 from stereo_ore.solid.prior import TARGETS
@@ -164,7 +165,7 @@ def _counterparts(known: Known, ore_map: OreMap) -> Iterator[tuple[Body, int]]:
 
 def _process(known: Known, pair: StereoPair, site: Site, threshold: float | None = None) -> FrameResult:
     config = Config(filter=FilterConfig(params={} if threshold is None else {"threshold": threshold}))
-    return pipeline.process(pair, pipeline.make_context(known.calibration, site, config))
+    return Chain(known.calibration, site, config)(pair)
 
 
 def _worse(pair: StereoPair, noise: float, blur_px: float) -> StereoPair:

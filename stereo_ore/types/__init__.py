@@ -31,6 +31,7 @@ from stereo_ore.types.results import (
     Ore,
     Reason,
     Solid,
+    Status,
     Strike,
     StrikePlan,
 )
@@ -76,6 +77,7 @@ __all__ = [
     "Rig",
     "Site",
     "Solid",
+    "Status",
     "StereoCalibration",
     "StereoPair",
     "Strike",

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
+import numpy as np
+
+from stereo_ore.transforms import apply, rotate
 from stereo_ore.types.arrays import F32, F64
 from stereo_ore.types.stages import (
     Disparity,
@@ -17,6 +20,9 @@ from stereo_ore.types.stages import (
     Surface,
     VoxelCloud,
 )
+
+Status = Literal["ok", "degraded", "empty", "failed"]
+"""Only an "ok" frame has targets; a "degraded" one has a cloud, but something speaks against acting on it."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +39,8 @@ class Solid:
 
     `axes` (3, 3) are the box's unit axes as rows, longest first; `extent_m` the box's lengths along them; `size_m`
     longest, middle and shortest dimension. `sigma_m` (3,) is the standard deviation of the centre of gravity.
-    `vertices` (V, 3) is the convex hull of the modelled solid, for pictures.
+    `vertices` (V, 3) is the convex hull of the modelled solid, for pictures. `arm` is the same solid in the arm's
+    frame, where that is known.
     """
 
     centre_of_gravity: F64
@@ -48,17 +55,41 @@ class Solid:
     vertices: F32
     oversize: bool | None = None
     reasons: tuple[Reason, ...] = ()
+    arm: Solid | None = None
+
+    def moved(self, T_target_camera: F64) -> Solid:
+        """Return the solid in another frame.
+
+        The deviations are taken to be independent along the camera's axes: σ'² = (R∘R) σ².
+        """
+        return replace(
+            self,
+            centre_of_gravity=apply(T_target_camera, self.centre_of_gravity),
+            sigma_m=np.sqrt(T_target_camera[:3, :3] ** 2 @ self.sigma_m**2),
+            box_centre=apply(T_target_camera, self.box_centre),
+            axes=rotate(T_target_camera, self.axes),
+            vertices=apply(T_target_camera, self.vertices).astype(np.float32),
+        )
 
 
 @dataclass(frozen=True)
 class Strike:
-    """Where and along which unit vector the tool moves into the rock (camera frame)."""
+    """Where and along which unit vector the tool moves into the rock (camera frame).
+
+    `arm` is the same strike in the arm's frame, where that is known.
+    """
 
     point: F64
     direction: F64
     slope_rad: float
     flatness_m: float
     score: float
+    arm: Strike | None = None
+
+    def moved(self, T_target_camera: F64) -> Strike:
+        """Return the strike in another frame."""
+        point = apply(T_target_camera, self.point)
+        return replace(self, point=point, direction=rotate(T_target_camera, self.direction))
 
 
 @dataclass(frozen=True)
@@ -71,7 +102,10 @@ class StrikePlan:
 
 @dataclass(frozen=True)
 class Ore:
-    """One lump: its visible surface, the solid it belongs to, and where to strike."""
+    """One lump: its visible surface, the solid it belongs to, and where to strike.
+
+    `arm` is the same lump in the arm's frame, where that is known.
+    """
 
     id: int
     points: int
@@ -81,6 +115,32 @@ class Ore:
     solid: Solid | None
     plan: StrikePlan
     reasons: tuple[Reason, ...] = ()
+    arm: Ore | None = None
+
+    @property
+    def strike(self) -> Strike | None:
+        """Best strike, or None: `plan.reasons` say why."""
+        return self.plan.strikes[0] if self.plan.strikes else None
+
+    @property
+    def oversize(self) -> bool | None:
+        """Whether the lump is too large for the opening; None where that is not known."""
+        return self.solid.oversize if self.solid else None
+
+    def located(self, T_arm_camera: F64 | None) -> Ore:
+        """Return the lump with itself, its solid and its strikes in the arm's frame too."""
+        if T_arm_camera is None:
+            return self
+        solid = self.solid and replace(self.solid, arm=self.solid.moved(T_arm_camera))
+        strikes = (replace(strike, arm=strike.moved(T_arm_camera)) for strike in self.plan.strikes)
+        plan = replace(self.plan, strikes=tuple(strikes))
+        arm = replace(
+            self,
+            surface_centroid=apply(T_arm_camera, self.surface_centroid),
+            solid=solid and solid.arm,
+            plan=replace(plan, strikes=tuple(s.arm for s in plan.strikes if s.arm is not None)),
+        )
+        return replace(self, solid=solid, plan=plan, arm=arm)
 
 
 @dataclass(frozen=True)
@@ -90,7 +150,7 @@ class FrameResult:
     name: str
     index: int
     stamp_ns: int | None
-    status: Literal["ok", "degraded", "empty", "failed"]
+    status: Status
     reasons: tuple[Reason, ...]
     counts: Mapping[str, int]
     grizzly: Grizzly | None = None

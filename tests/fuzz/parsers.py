@@ -14,7 +14,7 @@ from stereo_ore.calibration.tables import read_poses, read_touched
 from stereo_ore.config import load_config
 from stereo_ore.errors import StereoOreError
 from stereo_ore.matching import background
-from stereo_ore.results import Results
+from stereo_ore.runs.results import Results
 from stereo_ore.serve.loop import position
 from stereo_ore.sinks.settings import load_sinks, read_users
 from stereo_ore.site import load_site

@@ -18,7 +18,7 @@ import numpy as np
 
 from stereo_ore.config import HealthConfig
 from stereo_ore.record import Json, to_line
-from stereo_ore.sinks.run_folder import FrameLines
+from stereo_ore.runs.folder import FrameLines
 from stereo_ore.types import U8, FrameResult, Reason
 
 FEWEST_GOOD = 5

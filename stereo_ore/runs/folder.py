@@ -8,24 +8,19 @@ from __future__ import annotations
 
 import hashlib
 import json
-import platform
-import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
 
-from stereo_ore import __version__
 from stereo_ore.errors import OutputError
+from stereo_ore.runs.ore_table import ores_csv
 from stereo_ore.sinks.atomic import guarded, make_folder, remove_leftovers, write_bytes, write_lines, write_text
-from stereo_ore.sinks.ore_table import ores_csv
 
 LINES = ("frames.jsonl", "timings.jsonl", "inputs.jsonl")
 FRAME_FOLDERS = ("clouds", "overlays", "stages", "pictures")
 FRAME_SUFFIXES = (".ply", ".png", ".npz")
-PACKAGES = ("numpy", "scipy", "scikit-learn", "opencv-contrib-python-headless", "open3d-cpu", "open3d", "pydantic")
 
 
 @dataclass(frozen=True)
@@ -169,14 +164,3 @@ def _whole_lines(path: Path) -> list[bytes]:
 def digest(description: Mapping[str, Any]) -> str:
     """SHA-256 of a JSON-able description."""
     return hashlib.sha256(json.dumps(description, sort_keys=True).encode()).hexdigest()
-
-
-def versions() -> dict[str, str]:
-    """Versions of this program and of the packages that its results depend on."""
-    found = {"stereo-ore": __version__, "python": platform.python_version(), "platform": sys.platform}
-    for package in PACKAGES:
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            continue
-    return found

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
 import threading
 from collections import deque
@@ -11,19 +9,14 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from multiprocessing import get_context, parent_process
-from pathlib import Path
 
 from stereo_ore.errors import FrameError
-from stereo_ore.health.history import fingerprints
-from stereo_ore.pipeline import Context, fused_indices, process_frame
-from stereo_ore.record import record, to_line
-from stereo_ore.sinks.frame_files import FrameFiles
-from stereo_ore.sinks.run_folder import FrameLines
+from stereo_ore.runs.ahead import ReadAhead
+from stereo_ore.runs.driver import Driver
+from stereo_ore.runs.folder import FrameLines
 from stereo_ore.sources import Source
-from stereo_ore.sources.ahead import ReadAhead
-from stereo_ore.types import FrameResult, Site
+from stereo_ore.types import FrameResult
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 WRITES_AHEAD = 2
@@ -35,15 +28,18 @@ class Job:
     """What a worker needs to turn a frame's index into lines and files; can be sent to another process."""
 
     source: Source
-    context: Context
-    files: FrameFiles
+    driver: Driver
     strict: bool = False
 
     def __call__(self, index: int) -> FrameLines:
-        """Process frame `index` and write its files; errors as those of `process` and `finish`."""
-        return self.finish(self.process(index))
+        """Process frame `index` and write its files; errors as those of `detect` and `finish`."""
+        return self.finish(self.detect(index))
 
-    def process(self, index: int) -> FrameResult:
+    def fused(self, index: int) -> range:
+        """The frames that are measured as one with frame `index`: itself, or as many as `matching.fuse` says."""
+        return range(index, min(index + self.driver.chain.config.matching.fuse, len(self.source.names)))
+
+    def detect(self, index: int) -> FrameResult:
         """Process frame `index`.
 
         Raises
@@ -51,7 +47,8 @@ class Job:
         FrameError
             With `strict`, for a frame that failed.
         """
-        result = process_frame(self.source, index, self.context)
+        name, indices = self.source.names[index], self.fused(index)
+        result = self.driver.detect(name, index, lambda: [self.source.read(i) for i in indices])
         if self.strict and result.status == "failed":
             reason = result.reasons[-1]
             raise FrameError(f"frame {result.name} failed: {reason.detail}", code=reason.code)
@@ -59,19 +56,8 @@ class Job:
 
     def finish(self, result: FrameResult) -> FrameLines:
         """Write the files of a frame and word its lines."""
-        indices = fused_indices(self.source, result.index, self.context)
-        lines = frame_lines(result, self.context.site, [file for i in indices for file in self.source.files(i)])
-        self.files.write(result)
-        return lines
-
-
-def frame_lines(result: FrameResult, site: Site, inputs: Sequence[Path]) -> FrameLines:
-    """Record, timing and inputs of a frame that was read from the files `inputs`."""
-    stages = {name: round(ms, 3) for name, ms in result.stages_ms.items()}
-    timing = {"frame": result.name, "stages_ms": stages, "total_ms": round(sum(stages.values()), 3)}
-    files = {str(path): sha256(path) for path in inputs}
-    hashes = {"frame": result.name, "files": files, "images": fingerprints(result)}
-    return FrameLines(to_line(record(result, site)), json.dumps(timing), json.dumps(hashes))
+        inputs = [file for i in self.fused(result.index) for file in self.source.files(i)]
+        return self.driver.finish(result, inputs)
 
 
 def run(job: Job, indices: Sequence[int], workers: int = 1) -> Iterator[FrameLines]:
@@ -108,13 +94,13 @@ def _single_threaded() -> Iterator[None]:
 
 def _overlapped(job: Job, indices: Sequence[int]) -> Iterator[FrameLines]:
     """Frames one after the other; meanwhile one thread reads those to come and one writes those that are done."""
-    order = (i for index in indices for i in fused_indices(job.source, index, job.context))
+    order = (i for index in indices for i in job.fused(index))
     with ReadAhead(job.source, order) as source, ThreadPoolExecutor(1, "write") as writer:
         ahead = replace(job, source=source)
         written: deque[Future[FrameLines]] = deque()
         for index in indices:
             try:
-                result = ahead.process(index)
+                result = ahead.detect(index)
             except FrameError:
                 yield from (future.result() for future in written)
                 raise
@@ -147,17 +133,3 @@ def _end_with_parent() -> None:
 def _work(index: int) -> FrameLines:
     assert _job is not None, "the pool's initialiser ran"
     return _job(index)
-
-
-def sha256(path: Path) -> str | None:
-    """SHA-256 of a file; None when it can't be read. A video or bag that holds many frames is read once."""
-    try:
-        return _sha256(path, path.stat().st_mtime_ns) if path.is_file() else None  # a pipe has no end
-    except OSError:
-        return None
-
-
-@lru_cache(maxsize=64)
-def _sha256(path: Path, _mtime_ns: int) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

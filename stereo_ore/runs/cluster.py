@@ -18,16 +18,17 @@ import threading
 import time
 import uuid
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stereo_ore.batch import Job
 from stereo_ore.errors import ClusterError, MissingExtraError, StereoOreError
+from stereo_ore.runs.batch import Job
+from stereo_ore.runs.folder import FrameLines
+from stereo_ore.runs.identity import versions
 from stereo_ore.sinks.atomic import write_bytes
-from stereo_ore.sinks.run_folder import FrameLines, versions
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -67,7 +68,7 @@ class Shipment:
     """A job as it lies in the output folder, with the versions that all workers must have."""
 
     job: Job
-    versions: dict[str, str]
+    versions: Mapping[str, str]
 
 
 @dataclass(frozen=True)
@@ -133,7 +134,7 @@ def _connect(address: str) -> Iterator[Client]:
 @contextlib.contextmanager
 def _shipped(job: Job) -> Iterator[Envelope]:
     """The job as a file in the output folder, as long as it is needed; what a killed run has left goes."""
-    folder = job.files.folder.resolve()
+    folder = job.driver.files.folder.resolve()
     for old in folder.glob(".job-*.pickle"):
         old.unlink(missing_ok=True)
     file = folder / f".job-{uuid.uuid4().hex}.pickle"
@@ -216,7 +217,7 @@ def _open(envelope: Envelope) -> Job:
         raise _differs("does not see the recording", job.source.path)
     mine = versions()
     if mine != shipment.versions:
-        names = sorted(name for name in mine | shipment.versions if mine.get(name) != shipment.versions.get(name))
+        names = sorted(name for name in {*mine, *shipment.versions} if mine.get(name) != shipment.versions.get(name))
         texts = (f"{name} {mine.get(name)}, not {shipment.versions.get(name)}" for name in names)
         remedy = "Install the same versions everywhere, so that results do not depend on the worker"
         raise ClusterError(f"worker on {socket.gethostname()} has {'; '.join(texts)}", remedy=remedy)

@@ -1,0 +1,235 @@
+"""The chain: one recorded pair in, one `FrameResult` out; this file alone knows the order of the stages."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future
+from contextlib import contextmanager
+from typing import Any, TypeVar
+
+import numpy as np
+
+from stereo_ore import (
+    cloud,
+    empty_screen,
+    filters,
+    grizzly,
+    health,
+    matching,
+    order,
+    ores,
+    rectify,
+    segment,
+    solid,
+    strike,
+    voxels,
+)
+from stereo_ore.config import Config
+from stereo_ore.errors import FrameError
+from stereo_ore.threads import pool
+from stereo_ore.types import (
+    Disparity,
+    FrameResult,
+    Grizzly,
+    Ore,
+    OreMap,
+    Reason,
+    RectifiedPair,
+    Site,
+    Status,
+    StereoCalibration,
+    StereoPair,
+    Surface,
+)
+
+COUNTS = ("pixels", "disparities", "points", "voxels", "kept", "ores", "targets")
+
+Value = TypeVar("Value")
+
+
+class Chain:
+    """Finds ore in stereo pairs; all that is fixed for a run is prepared once.
+
+    Parameters
+    ----------
+    calibration : StereoCalibration
+        Of the camera, for raw or for rectified images.
+    site : Site
+        Arm, working volume and grizzly, as far as they are known.
+    config : Config
+        Parameters of all stages.
+
+    Raises
+    ------
+    CalibrationError, ConfigError
+        When calibration, site and parameters contradict each other.
+    """
+
+    def __init__(self, calibration: StereoCalibration, site: Site | None = None, config: Config | None = None) -> None:
+        self.calibration, self.site, self.config = calibration, site or Site(), config or Config()
+        self.rectifier = rectify.make_rectifier(calibration)
+        self.rig = self.rectifier.rig
+        self.region = matching.find_region(self.rig, self.site.volume, self.config.matching)
+        filters.parameters(self.config.filter)
+        self.empty = empty_screen.load(self.rig, self.region, self.site, self.config)
+
+    def __call__(self, pair: StereoPair, *more: StereoPair) -> FrameResult:
+        """Return what one pair shows, or one and `more` of the same still scene measured together.
+
+        A fault in the frame ends the chain early: the result then holds what was reached, a status
+        other than "ok", and the reason. The self-checks run on other threads beside the chain.
+        """
+        trace = Trace()
+        with trace.until_a_fault():
+            self._follow(trace, pair, more)
+        return trace.result(pair)
+
+    def _follow(self, trace: Trace, pair: StereoPair, more: Sequence[StereoPair]) -> None:
+        site, config = self.site, self.config
+        eyes = trace.reached("rectify", rectify.rectify(pair, self.rectifier))
+        disparity = trace.reached("match", self._match(eyes, more))
+        trace.check(health.eye_doubts, eyes, disparity, config.health)
+        points = trace.reached(
+            "cloud",
+            cloud.reproject(disparity, eyes, site.volume, config.cloud, config.matching.sigma_px),
+        )
+        size_m = voxels.voxel_size(config.voxel, self.rig, site.volume, points)
+        grid = trace.reached("voxels", voxels.voxelise(points, disparity, self.rig, size_m))
+        filtered = trace.reached("filter", filters.apply(grid, config.filter))
+        kept = filtered.keep[grid.inverse]
+        surface = trace.reached("surface", cloud.surface(points, kept, eyes, disparity.region))
+        screen = trace.reached("grizzly", self._screen(surface))
+        if screen.source != "auto":
+            trace.check(health.screen_doubts, surface, screen.plane, config.grizzly, config.health)
+        ore_map = trace.reached("segment", self._segment(disparity, surface, screen))
+        solids = trace.reached("solids", solid.solids(surface, ore_map, screen, config.solid))
+        plans = trace.reached("strikes", strike.plans(surface, ore_map, solids, screen, site, config.strike))
+        targets = order.order(solids, plans, site, config.order)
+        found = ores.describe(surface, ore_map, solids, plans, site)
+        trace.reached("ores", (found, targets))
+
+    def _match(self, eyes: RectifiedPair, more: Sequence[StereoPair]) -> Disparity:
+        pairs = [eyes, *(rectify.rectify(pair, self.rectifier) for pair in more)]
+        disparity, *others = (self._match_pair(pair) for pair in pairs)
+        if others:
+            disparity = matching.fuse(pairs, [disparity, *others])
+        if self.empty is not None:
+            matching.background.compare(self.empty.background, disparity)
+        return disparity
+
+    def _match_pair(self, pair: RectifiedPair) -> Disparity:
+        config = self.config.matching
+        region = matching.narrow(pair, self.region, self.site.volume, config)
+        return matching.match(pair, region, config)
+
+    def _screen(self, surface: Surface) -> Grizzly:
+        if self.empty is not None:
+            return self.empty.grizzly
+        return grizzly.find(surface, self.site, self.config.grizzly)
+
+    def _segment(self, disparity: Disparity, surface: Surface, screen: Grizzly) -> OreMap:
+        if self.empty is not None:
+            surface = empty_screen.new_on(self.empty, disparity, surface)
+        return segment.segment(surface, screen, self.site.volume, self.config.segment)
+
+
+class Trace:
+    """The way of one frame through the chain: what was reached, when, and what speaks against it."""
+
+    def __init__(self) -> None:
+        self._reached: dict[str, Any] = {}
+        self._stages_ms: dict[str, float] = {}
+        self._checks: list[Future[tuple[Reason, ...]]] = []
+        self._fault: FrameError | None = None
+        self._mark = time.perf_counter()
+
+    def reached(self, stage: str, value: Value) -> Value:
+        """Note that a stage is done, and pass its value on."""
+        self._reached[stage] = value
+        self._lap(stage)
+        return value
+
+    def check(self, check: Callable[..., Iterable[Reason]], *arguments: Any) -> None:
+        """Begin a self-check on another thread, beside the stages that follow."""
+        self._checks.append(pool().submit(lambda: tuple(check(*arguments))))
+
+    @contextmanager
+    def until_a_fault(self) -> Iterator[None]:
+        """End the chain where the frame itself is at fault; other errors pass."""
+        try:
+            yield
+        except FrameError as fault:
+            self._fault = fault
+
+    def result(self, pair: StereoPair) -> FrameResult:
+        """Wait for the self-checks, and judge: what was found, or why there is nothing to act on."""
+        reasons = [reason for check in self._checks for reason in check.result()]
+        self._lap("health")
+        found, targets = self._reached.get("ores", ((), ()))
+        status: Status = "degraded" if reasons else "ok"
+        if self._fault is not None:
+            # With a filtered cloud the frame is not lost: it can still be looked at.
+            status = "degraded" if "filter" in self._reached else "failed"
+            reasons.append(Reason(self._fault.code, str(self._fault)))
+        elif status == "ok" and not found:
+            status = "empty"
+            reasons.append(Reason("NO_ORE", "no lump on the screen"))
+        targets = targets if status == "ok" else ()
+        return self._filled(pair, status, tuple(reasons), found, targets)
+
+    def _filled(
+        self,
+        pair: StereoPair,
+        status: Status,
+        reasons: tuple[Reason, ...],
+        found: tuple[Ore, ...],
+        targets: tuple[int, ...],
+    ) -> FrameResult:
+        get = self._reached.get
+        return FrameResult(
+            pair.name,
+            pair.index,
+            pair.stamp_ns,
+            status,
+            reasons,
+            self._counts(targets),
+            pair=get("rectify"),
+            disparity=get("match"),
+            cloud=get("cloud"),
+            voxels=get("voxels"),
+            filtered=get("filter"),
+            surface=get("surface"),
+            grizzly=get("grizzly"),
+            ore_map=get("segment"),
+            ores=found,
+            targets=targets,
+            stages_ms=self._stages_ms,
+        )
+
+    def _counts(self, targets: tuple[int, ...]) -> dict[str, int]:
+        """Count what is left at each step from pixel to target; 0 for what was not reached."""
+        counts = {**no_counts(), "targets": len(targets)}
+        get = self._reached.get
+        if (disparity := get("match")) is not None:
+            counts["pixels"] = disparity.values.size
+            counts["disparities"] = int(np.isfinite(disparity.values).sum())
+        if (points := get("cloud")) is not None:
+            counts["points"] = len(points)
+        if (grid := get("voxels")) is not None:
+            counts["voxels"] = len(grid)
+        if (filtered := get("filter")) is not None:
+            counts["kept"] = int(filtered.keep.sum())
+        if (ore_map := get("segment")) is not None:
+            counts["ores"] = int(ore_map.labels.max(initial=0))
+        return counts
+
+    def _lap(self, stage: str) -> None:
+        now = time.perf_counter()
+        self._stages_ms[stage] = 1000 * (now - self._mark)
+        self._mark = now
+
+
+def no_counts() -> dict[str, int]:
+    """The counts of a frame that reached nothing."""
+    return dict.fromkeys(COUNTS, 0)

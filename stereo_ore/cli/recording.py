@@ -1,0 +1,64 @@
+"""A recording and its calibration, as the options of a verb name them."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from stereo_ore.errors import FrameError, SourceError
+
+if TYPE_CHECKING:
+    from stereo_ore.sources import Source
+    from stereo_ore.types import StereoCalibration
+
+log = logging.getLogger(__name__)
+
+
+def open_recording(
+    source: Path | None,
+    left: Path | None,
+    right: Path | None,
+    topics: tuple[str | None, str | None],
+    max_skew_ms: float,
+) -> Source:
+    """The recording that the options of a verb name."""
+    from stereo_ore.sources import BagOptions, open_source, open_two_files
+
+    if left and right and source is None:
+        return open_two_files(left, right)
+    if source is None or left or right:
+        raise typer.BadParameter("give either SOURCE or both --left and --right")
+    match topics:
+        case (None, None):
+            return open_source(source, BagOptions(None, max_skew_ms))
+        case (str(left_topic), str(right_topic)):
+            return open_source(source, BagOptions((left_topic, right_topic), max_skew_ms))
+    raise typer.BadParameter("give both --left-topic and --right-topic, or neither")
+
+
+def calibration_of(
+    recording: Source, calib: Path | None, image_size: tuple[int, int] | None = None
+) -> StereoCalibration:
+    """The calibration given or, without one, that of the recording."""
+    from stereo_ore.calibration import load
+
+    if calib:
+        return load(calib, image_size=image_size or frame_size(recording))
+    if recording.calibration is None:
+        raise SourceError("carries no calibration", file=recording.path, remedy="Give one with --calib")
+    log.info("calibration: camera_info of the recording")
+    return recording.calibration
+
+
+def frame_size(recording: Source) -> tuple[int, int] | None:
+    """Width and height of the first frame that can be read: some calibration files hold several resolutions."""
+    for index in range(len(recording.names)):
+        try:
+            left = recording.read(index).left
+        except FrameError:
+            continue
+        return left.shape[1], left.shape[0]
+    return None

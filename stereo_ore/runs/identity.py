@@ -1,0 +1,75 @@
+"""What a run is made from: the same for the same inputs, so that a killed run may go on."""
+
+from __future__ import annotations
+
+import platform
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from stereo_ore import __version__
+from stereo_ore.calibration import dump
+from stereo_ore.chain import Chain
+from stereo_ore.config import dump_config
+from stereo_ore.runs.driver import sha256
+from stereo_ore.sinks.atomic import write_bytes, write_text
+
+SCHEMA = "stereo_ore/run/1"
+PACKAGES = (
+    "numpy",
+    "scipy",
+    "scikit-learn",
+    "opencv-contrib-python-headless",
+    "open3d-cpu",
+    "open3d",
+    "pydantic",
+)
+
+
+@dataclass(frozen=True)
+class InputFiles:
+    """Files that a run was told to use, each where one was given."""
+
+    calib: Path | None = None
+    site: Path | None = None
+    config: Path | None = None
+
+
+def description(source: str, chain: Chain, files: InputFiles, **more: Any) -> dict[str, Any]:
+    """Versions, parameters, and the SHA-256 of every file that the results depend on."""
+    given = {**vars(files), "background": chain.site.background}
+    hashes = {key: {"path": str(path), "sha256": sha256(path)} for key, path in given.items() if path}
+    return {
+        "schema": SCHEMA,
+        "versions": versions(),
+        "source": source,
+        "parameters": chain.config.model_dump(mode="json"),
+        "files": hashes,
+        **more,
+    }
+
+
+def write_inputs(out: Path, chain: Chain, files: InputFiles) -> None:
+    """Write what is needed to repeat the run beside its results."""
+    write_text(out / "config.yaml", dump_config(chain.config))
+    write_text(out / "calibration.yaml", dump(chain.calibration))
+    if files.site:
+        write_bytes(out / "site.yaml", files.site.read_bytes())
+
+
+def versions() -> Mapping[str, str]:
+    """Versions of this program and of the packages that its results depend on."""
+    found = {
+        "stereo-ore": __version__,
+        "python": platform.python_version(),
+        "platform": sys.platform,
+    }
+    for package in PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return found
