@@ -50,7 +50,7 @@ class Fake:
         time.sleep(self.seconds)
         if index in self.broken:
             raise FrameError("is broken", code="BROKEN", file=f"{index}")
-        return StereoPair(self.names[index], index, IMAGE, IMAGE)
+        return StereoPair(IMAGE, IMAGE, name=self.names[index], index=index)
 
 
 class FakeFiles:

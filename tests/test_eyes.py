@@ -36,7 +36,7 @@ def right() -> U8:
 
 
 def test_the_pair_as_recorded_gives_targets(chain: Chain, left: U8, right: U8) -> None:
-    result = chain(StereoPair("0", 0, left, right))
+    result = chain(StereoPair(left, right, name="0", index=0))
     assert result.status == "ok"
     assert result.targets
 
@@ -51,7 +51,7 @@ def test_eyes_that_disagree_are_degraded(fault: str, chain: Chain, left: U8, rig
         "rows apart": (left, np.roll(right, 8, axis=0)),
         "same eye": (left, left),
     }
-    result = chain(StereoPair("0", 0, *map(np.ascontiguousarray, eyes[fault])))
+    result = chain(StereoPair(*map(np.ascontiguousarray, eyes[fault]), name="0", index=0))
     assert result.status == "degraded"
     assert "EYES_DISAGREE" in [reason.code for reason in result.reasons]
     assert result.targets == ()
@@ -61,7 +61,7 @@ def test_eyes_that_disagree_are_degraded(fault: str, chain: Chain, left: U8, rig
 @pytest.mark.parametrize("covered", ["left", "right"])
 def test_a_covered_eye_fails(covered: str, chain: Chain, left: U8, right: U8) -> None:
     eyes = {"left": left, "right": right, covered: np.zeros_like(left)}
-    result = chain(StereoPair("0", 0, eyes["left"], eyes["right"]))
+    result = chain(StereoPair(eyes["left"], eyes["right"], name="0", index=0))
     assert result.status == "failed"
     assert result.targets == ()
     codes = [reason.code for reason in result.reasons]
@@ -83,7 +83,7 @@ def test_a_calibration_that_is_off_by_little_is_told(
 ) -> None:
     """About a quarter of a pixel: the matcher follows it, and the screen stays where it is."""
     wrong = turned(right, chain.rig.fx, tuple(a / 1000 for a in angles_mrad))
-    result = chain(StereoPair("0", 0, left, wrong))
+    result = chain(StereoPair(left, wrong, name="0", index=0))
     assert "ROWS_DISAGREE" in [reason.code for reason in result.reasons]
     assert result.targets == ()
 
@@ -91,6 +91,6 @@ def test_a_calibration_that_is_off_by_little_is_told(
 @pytest.mark.parametrize("rows", [-9, -4, 2, 6])
 def test_rows_far_apart_are_told(rows: int, chain: Chain, left: U8, right: U8) -> None:
     """Bars along the columns match under any shift of rows."""
-    result = chain(StereoPair("0", 0, left, np.roll(right, rows, axis=0)))
+    result = chain(StereoPair(left, np.roll(right, rows, axis=0), name="0", index=0))
     assert "ROWS_DISAGREE" in [reason.code for reason in result.reasons]
     assert result.targets == ()

@@ -45,6 +45,7 @@ def filter_(
     """
     from stereo_ore import cloud_io, filters
     from stereo_ore.config.loader import load_config
+    from stereo_ore.types import bare_cloud
 
     config = load_config(
         None, [f"filter.method={method}", *(f"filter.params.{text}" for text in settings or [])]
@@ -55,7 +56,7 @@ def filter_(
             _check_output(path, source)
     records = cloud_io.read(source)
     xyz = cloud_io.xyz(records)
-    result = filters.apply(_voxels(xyz * _metres(source, xyz, unit)), config)
+    result = filters.apply(bare_cloud(xyz * _metres(source, xyz, unit)), config)
     cloud_io.write(out, records[result.keep])
     if keep_noise:
         cloud_io.write(keep_noise, records[~result.keep])
@@ -88,20 +89,6 @@ def _metres(source: Path, xyz: Any, unit: str | None) -> float:
         remedy = "Say --unit mm (or --unit m if it is that large)"
         raise CloudError(f"the cloud is {width:,.0f} units wide: are they millimetres?", file=source, remedy=remedy)
     return METRES["m"]
-
-
-def _voxels(xyz: Any) -> Any:
-    """The cloud about its own middle, so that float32 loses nothing to a far origin."""
-    import numpy as np
-
-    from stereo_ore.types import VoxelCloud
-
-    finite = np.isfinite(xyz).all(1)
-    middle = np.median(xyz[finite], axis=0) if finite.any() else np.zeros(3)
-    with np.errstate(over="ignore"):
-        points = (xyz - middle).astype(np.float32)
-    zero, rows = np.zeros(len(points), np.float32), np.arange(len(points), dtype=np.int32)
-    return VoxelCloud(points, np.ones(len(points), np.int32), rows, 0.0, zero, zero)
 
 
 def _draw(xyz: Any, result: FilterResult, picture: Path) -> None:

@@ -9,21 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from stereo_ore import overlay, scene_picture
+from stereo_ore.images import encode_png
 from stereo_ore.sinks.atomic import write_bytes
-from stereo_ore.types import I32, U8, FilterResult, FrameResult, PointCloud, VoxelCloud
-
-PNG_SETTINGS = [
-    cv2.IMWRITE_PNG_COMPRESSION, 1,
-    cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_DEFAULT,
-    # Trying all filters a row, as OpenCV 5 does unasked, doubles the time and saves nothing; OpenCV 4.10 has one only.
-    *((cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_UP) if hasattr(cv2, "IMWRITE_PNG_FILTER") else ()),
-]  # fmt: skip
-"""Fast rather than small: an overlay is looked at, then thrown away."""
+from stereo_ore.types import I32, U8, FrameResult, PointCloud, VoxelCloud
 
 NPZ_LEVEL = 1
 """Of zlib: as small as the usual 6 within a few per cent, in half the time."""
@@ -52,25 +44,36 @@ class FrameFiles:
             self._write_image("overlays", result.name, overlay.draw(result))
         if self.pictures:
             self._write_image("pictures", result.name, scene_picture.draw(result))
-        if self.clouds and result.cloud is not None and result.voxels is not None and result.filtered is not None:
-            data = cloud_ply(result.cloud, result.voxels, result.filtered, _voxel_ids(result))
+        if self.clouds and result.filtered is not None:
+            data = cloud_ply(cloud_table(result))
             write_bytes(self.folder / "clouds" / f"{result.name}.ply", data)
         if self.save_stages and result.disparity is not None:
             write_bytes(self.folder / "stages" / f"{result.name}.npz", stages_npz(result))
 
     def _write_image(self, kind: str, name: str, image: U8 | None) -> None:
         if image is not None:
-            encoded = cv2.imencode(".png", image, PNG_SETTINGS)[1]
-            write_bytes(self.folder / kind / f"{name}.png", encoded.tobytes())
+            write_bytes(self.folder / kind / f"{name}.png", encode_png(image))
 
 
-def cloud_ply(cloud: PointCloud, voxels: VoxelCloud, filtered: FilterResult, ore_id: I32) -> bytes:
-    """Binary PLY of the kept voxels: x y z [m], red green blue, ore_id (0 = screen and rest), score."""
+def cloud_table(result: FrameResult) -> npt.NDArray[np.void]:
+    """Kept voxels (M,) with the fields x y z [m], red green blue, ore_id (0 = screen and rest), score.
+
+    Empty for a frame that did not reach the filter.
+    """
+    fields = [(name, kind) for name, kind, _ in PLY_FIELDS]
+    cloud, voxels, filtered = result.cloud, result.voxels, result.filtered
+    if cloud is None or voxels is None or filtered is None:
+        return np.zeros(0, fields)
     keep = filtered.keep
-    table = np.zeros(int(keep.sum()), [(name, kind) for name, kind, _ in PLY_FIELDS])
+    table = np.zeros(int(keep.sum()), fields)
     table["x"], table["y"], table["z"] = voxels.xyz[keep].T
     table["blue"], table["green"], table["red"] = voxel_colour(cloud, voxels)[keep].T
-    table["ore_id"], table["score"] = ore_id[keep], filtered.score[keep]
+    table["ore_id"], table["score"] = _voxel_ids(result)[keep], filtered.score[keep]
+    return table
+
+
+def cloud_ply(table: npt.NDArray[np.void]) -> bytes:
+    """Binary PLY of the kept voxels."""
     properties = [f"property {kind} {name}" for name, _, kind in PLY_FIELDS]
     header = ["ply", "format binary_little_endian 1.0", "comment stereo_ore: metres, rectified left camera"]
     header += [f"element vertex {len(table)}", *properties, "end_header", ""]

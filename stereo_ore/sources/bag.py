@@ -141,7 +141,9 @@ class BagPairs:
         except Exception as fault:  # rosbags raises what it likes; messages have the fields that the bag defines
             raise FrameError(f"can't be read here: {fault}", code="UNREADABLE_IMAGE", file=self.path) from None
         check_alike(left_image, right_image, f"{self.path}: {self.topics[0]}", self.topics[1])
-        return StereoPair(self.names[index], index, *to_8_bit(left_image, right_image), stamp_ns=left.stamp_ns)
+        return StereoPair(
+            *to_8_bit(left_image, right_image), name=self.names[index], index=index, stamp_ns=left.stamp_ns
+        )
 
 
 def open_bag(path: Path, options: BagOptions) -> BagPairs:

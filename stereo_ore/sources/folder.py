@@ -50,7 +50,9 @@ class ImagePairs:
             )
         images = read_both(left, right, self.max_pixels)
         check_alike(*images, left, right.name)
-        return StereoPair(self.names[index], index, *to_8_bit(*images), stamp_ns=name_stamp(self.names[index]))
+        return StereoPair(
+            *to_8_bit(*images), name=self.names[index], index=index, stamp_ns=name_stamp(self.names[index])
+        )
 
 
 def open_two_files(left: Path, right: Path) -> ImagePairs:

@@ -36,7 +36,9 @@ class SideBySideImages:
     def read(self, index: int) -> StereoPair:
         """Read frame `index` and split it in the middle."""
         halves = split_in_two(read_image(self.images[index], self.max_pixels), self.images[index])
-        return StereoPair(self.names[index], index, *to_8_bit(*halves), stamp_ns=name_stamp(self.names[index]))
+        return StereoPair(
+            *to_8_bit(*halves), name=self.names[index], index=index, stamp_ns=name_stamp(self.names[index])
+        )
 
 
 def open_side_by_side_image(path: Path) -> SideBySideImages:

@@ -109,7 +109,7 @@ class SideBySideVideo:
                 remedy="Is the video cut off? Copy or export it again",
             )
         halves = split_in_two(as_bgr(np.asarray(image), self.path), self.path)
-        return StereoPair(self.names[index], index, *to_8_bit(*halves))
+        return StereoPair(*to_8_bit(*halves), name=self.names[index], index=index)
 
 
 def open_video(path: Path) -> SideBySideVideo:

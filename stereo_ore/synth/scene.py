@@ -80,7 +80,7 @@ def _pair(spec: SceneSpec, model: Model, left: Eye, right: Eye) -> StereoPair:
     images = [
         expose(spec.sensor, view, gain * factor, rng) for view, factor in zip(views, spec.sensor.gain, strict=True)
     ]
-    return StereoPair(spec.name, 0, images[0], images[1])
+    return StereoPair(images[0], images[1], name=spec.name, index=0)
 
 
 def _site(spec: SceneSpec, rectified: Rectification) -> Site:

@@ -47,6 +47,7 @@ from stereo_ore.types.stages import (
     StereoPair,
     Surface,
     VoxelCloud,
+    bare_cloud,
 )
 
 __all__ = [
@@ -85,5 +86,6 @@ __all__ = [
     "Surface",
     "Volume",
     "VoxelCloud",
+    "bare_cloud",
     "check_shape",
 ]

@@ -16,10 +16,10 @@ from stereo_ore.types.geometry import Plane, Region, Rig
 class StereoPair:
     """One recorded pair as read: BGR images, (H, W, 3) uint8, of one size."""
 
-    name: str
-    index: int
     left: U8
     right: U8
+    name: str = "pair"
+    index: int = 0
     stamp_ns: int | None = None
 
     def __post_init__(self) -> None:
@@ -122,6 +122,19 @@ class VoxelCloud:
 
     def __len__(self) -> int:
         return len(self.xyz)
+
+
+def bare_cloud(xyz: F64) -> VoxelCloud:
+    """Return a cloud that no camera of ours made, (N, 3) [m], with each point a voxel of its own.
+
+    It lies about its own middle, so that float32 loses nothing to a far origin.
+    """
+    finite = np.isfinite(xyz).all(1)
+    middle = np.median(xyz[finite], axis=0) if finite.any() else np.zeros(3)
+    with np.errstate(over="ignore"):
+        points = (xyz - middle).astype(np.float32)
+    zero, rows = np.zeros(len(points), np.float32), np.arange(len(points), dtype=np.int32)
+    return VoxelCloud(points, np.ones(len(points), np.int32), rows, 0.0, zero, zero)
 
 
 @dataclass(frozen=True)
