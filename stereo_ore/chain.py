@@ -34,6 +34,7 @@ from stereo_ore.types import (
     Grizzly,
     Ore,
     OreMap,
+    PointCloud,
     Reason,
     RectifiedPair,
     Site,
@@ -90,10 +91,7 @@ class Chain:
         eyes = trace.reached("rectify", rectify.rectify(pair, self.rectifier))
         disparity = trace.reached("match", self._match(eyes, more))
         trace.check(health.eye_doubts, eyes, disparity, config.health)
-        points = trace.reached(
-            "cloud",
-            cloud.reproject(disparity, eyes, site.volume, config.cloud, config.matching.sigma_px),
-        )
+        points = trace.reached("cloud", self._cloud(disparity, eyes))
         size_m = voxels.voxel_size(config.voxel, self.rig, site.volume, points)
         grid = trace.reached("voxels", voxels.voxelise(points, disparity, self.rig, size_m))
         filtered = trace.reached("filter", filters.apply(grid, config.filter))
@@ -122,6 +120,17 @@ class Chain:
         config = self.config.matching
         region = matching.narrow(pair, self.region, self.site.volume, config)
         return matching.match(pair, region, config)
+
+    def _cloud(self, disparity: Disparity, eyes: RectifiedPair) -> PointCloud:
+        config, volume = self.config, self.site.volume
+        points = cloud.reproject(disparity, eyes, volume, config.cloud, config.matching.sigma_px)
+        if not len(points):
+            raise FrameError(
+                "no point lies in the working volume",
+                code="NO_POINTS",
+                remedy="Check site and calibration",
+            )
+        return points
 
     def _screen(self, surface: Surface) -> Grizzly:
         if self.empty is not None:

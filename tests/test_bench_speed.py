@@ -15,7 +15,10 @@ from stereo_ore.bench.growth import GrowthRow
 from stereo_ore.cli import app, load_verbs
 from stereo_ore.errors import ConfigError
 
-STAGES = ["read", "rectify", "match", "cloud", "voxels", "filter", "grizzly", "segment", "ores", "record", "files"]
+STAGES = [
+    "read", "rectify", "match", "cloud", "voxels", "filter", "surface", "grizzly", "segment", "solids", "strikes",
+    "ores", "health", "record", "files",
+]  # fmt: skip
 
 
 @pytest.fixture(scope="module")
