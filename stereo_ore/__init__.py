@@ -20,8 +20,8 @@ if TYPE_CHECKING:
         SourceError,
         StereoOreError,
     )
+    from stereo_ore.io.results import Results
     from stereo_ore.result import Picture, Result
-    from stereo_ore.runs.results import Results
     from stereo_ore.types import Ore, Site, Solid, StereoCalibration, StereoPair, Strike
 
 __version__ = "0.1.0"

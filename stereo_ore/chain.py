@@ -10,7 +10,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from stereo_ore import (
+from stereo_ore.config import Config
+from stereo_ore.errors import FrameError
+from stereo_ore.stages import (
     cloud,
     empty_screen,
     filters,
@@ -25,8 +27,6 @@ from stereo_ore import (
     strike,
     voxels,
 )
-from stereo_ore.config import Config
-from stereo_ore.errors import FrameError
 from stereo_ore.threads import pool
 from stereo_ore.types import (
     Disparity,

@@ -12,18 +12,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from stereo_ore import calibration as calibrations
-from stereo_ore import filters
 from stereo_ore.chain import Chain
 from stereo_ore.config import Config, load_config
 from stereo_ore.errors import CloudError, FrameError
+from stereo_ore.io import calibration as calibrations
+from stereo_ore.io.recordings import BagOptions, Source, limit_pixels, open_source
+from stereo_ore.io.results import Results
+from stereo_ore.io.site import load_site
 from stereo_ore.result import Result
 from stereo_ore.runs.identity import InputFiles
-from stereo_ore.runs.results import Results
 from stereo_ore.runs.run import RunOptions
 from stereo_ore.runs.run import run as run_frames
-from stereo_ore.site import load_site
-from stereo_ore.sources import BagOptions, Source, limit_pixels, open_source
+from stereo_ore.stages import filters
 from stereo_ore.types import F32, Mask, Rig, Site, StereoCalibration, StereoPair, bare_cloud
 
 if TYPE_CHECKING:

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from stereo_ore import overlay
+from stereo_ore.draw import overlay
+from stereo_ore.draw.images import encode_png
 from stereo_ore.errors import OutputError
-from stereo_ore.images import encode_png
+from stereo_ore.io.atomic import write_bytes
 from stereo_ore.record import Json, record
 from stereo_ore.runs.frame_files import cloud_table
-from stereo_ore.sinks.atomic import write_bytes
 from stereo_ore.types import U8, FrameResult, Grizzly, Ore, Reason, Site, Status
 
 if TYPE_CHECKING:

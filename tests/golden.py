@@ -21,8 +21,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from stereo_ore import synth
 from stereo_ore.cli import launch
+from stereo_ore.lab import synth
 
 ROOT = Path(__file__).parents[1]
 FILE = Path(__file__).with_name("golden.json")

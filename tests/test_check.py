@@ -10,8 +10,7 @@ import pytest
 import yaml
 from rigs import example_rig, rectified_rig, rectified_to_raw, with_rotation
 
-from stereo_ore.calibration import save
-from stereo_ore.calibration.check import (
+from stereo_ore.calibrate.check import (
     CheckResult,
     Known,
     Matches,
@@ -21,12 +20,13 @@ from stereo_ore.calibration.check import (
     offset_findings,
     patch_disparity,
 )
-from stereo_ore.calibration.check_report import draw, report
-from stereo_ore.calibration.geometry import make_calibration, rotation_vector
-from stereo_ore.calibration.points import rectify_points, triangulate
-from stereo_ore.calibration.residual import RowResidual, match_features, residual_of_matches, vertical_residual
+from stereo_ore.calibrate.check_report import draw, report
+from stereo_ore.calibrate.points import rectify_points, triangulate
+from stereo_ore.calibrate.residual import RowResidual, match_features, residual_of_matches, vertical_residual
 from stereo_ore.errors import CalibrationError
-from stereo_ore.rectify import make_rectifier, rectify
+from stereo_ore.io.calibration import save
+from stereo_ore.io.calibration.geometry import make_calibration, rotation_vector
+from stereo_ore.stages.rectify import make_rectifier, rectify
 from stereo_ore.types import CameraModel, StereoCalibration, StereoPair
 
 TRUTH = example_rig()

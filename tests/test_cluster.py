@@ -16,13 +16,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from runs import quarter_scene
 
-from stereo_ore import calibration, sources
 from stereo_ore.chain import Chain
 from stereo_ore.errors import ClusterError, FrameError, MissingExtraError, OutputError, StereoOreError
+from stereo_ore.io import calibration, recordings
+from stereo_ore.io.site import load_site
 from stereo_ore.runs import batch, cluster
 from stereo_ore.runs.driver import Driver
 from stereo_ore.runs.frame_files import FrameFiles
-from stereo_ore.site import load_site
 
 pytest.importorskip("distributed", reason="the extra [cluster] is not installed")
 
@@ -86,7 +86,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def make_job(scene: Path, recording: Path, out: Path) -> batch.Job:
     chain = Chain(calibration.load(scene / "calibration.yaml"), load_site(scene / "site.yaml"))
-    return batch.Job(sources.open_source(recording), Driver(chain, FrameFiles(out)))
+    return batch.Job(recordings.open_source(recording), Driver(chain, FrameFiles(out)))
 
 
 def contents(folder: Path) -> dict[str, bytes]:

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from stereo_ore.calibration import load
 from stereo_ore.chain import Chain
 from stereo_ore.config import load_config
-from stereo_ore.site import load_site
+from stereo_ore.io.calibration import load
+from stereo_ore.io.site import load_site
 from stereo_ore.types import U8, StereoPair
 
 DATA = Path(__file__).parents[1] / "data"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from stereo_ore.errors import CalibrationError, FrameError
-from stereo_ore.rectify import make_rectifier, rectify
+from stereo_ore.stages.rectify import make_rectifier, rectify
 from stereo_ore.types import CameraModel, StereoCalibration, StereoPair
 
 SIZE = (640, 480)

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from runs import cloud, make_run, ore, quarter_scene, record, write_lines
 
-from stereo_ore import cloud_io
+from stereo_ore.draw.report import cloud_view, page, write_report
 from stereo_ore.errors import MissingExtraError, SourceError
-from stereo_ore.report import cloud_view, page, write_report
+from stereo_ore.io import clouds
 from stereo_ore.types import Rig
 
 MEGABYTE = 1_000_000
@@ -110,7 +110,7 @@ def test_points_survive_packing() -> None:
     packed = cloud_view.pack(table, 100)
     assert (packed["count"], packed["of"]) == (100, 500)
     xyz = np.frombuffer(base64.b64decode(packed["xyz_mm"]), "<i2").reshape(-1, 3) / 1000
-    np.testing.assert_allclose(xyz, cloud_io.xyz(table[::5]), atol=0.00051)
+    np.testing.assert_allclose(xyz, clouds.xyz(table[::5]), atol=0.00051)
     np.testing.assert_array_equal(np.frombuffer(base64.b64decode(packed["ore"]), "<u2"), table["ore_id"][::5])
 
 
@@ -233,7 +233,7 @@ def test_run_checks_the_calibration_and_writes_the_report_unless_told_not_to(tmp
 
 def test_no_heavy_package_is_imported(folder: Path) -> None:
     code = (
-        "import sys; from pathlib import Path; from stereo_ore.report import write_report\n"
+        "import sys; from pathlib import Path; from stereo_ore.draw.report import write_report\n"
         f"write_report(Path({str(folder)!r}))\n"
         "print([name for name in ('plotly', 'open3d', 'sklearn', 'matplotlib', 'pandas') if name in sys.modules])"
     )

@@ -36,7 +36,7 @@ def validate(config: Annotated[Path, typer.Argument(help="File to check.")]) -> 
     Example: `stereo-ore config validate parameters.yaml`
     """
     from stereo_ore.config import load_config
-    from stereo_ore.filters import parameters
+    from stereo_ore.stages.filters import parameters
 
     parameters(load_config(config).filter)
     typer.echo(f"{config}: valid")

@@ -43,8 +43,9 @@ def filter_(
 
     Example: `stereo-ore filter scan.ply clean.ply --method adaptive --keep-noise noise.ply --picture factors.png`
     """
-    from stereo_ore import cloud_io, filters
     from stereo_ore.config.loader import load_config
+    from stereo_ore.io import clouds
+    from stereo_ore.stages import filters
     from stereo_ore.types import bare_cloud
 
     config = load_config(
@@ -54,23 +55,23 @@ def filter_(
     for path in (out, keep_noise, scores):
         if path:
             _check_output(path, source)
-    records = cloud_io.read(source)
-    xyz = cloud_io.xyz(records)
+    records = clouds.read(source)
+    xyz = clouds.xyz(records)
     result = filters.apply(bare_cloud(xyz * _metres(source, xyz, unit)), config)
-    cloud_io.write(out, records[result.keep])
+    clouds.write(out, records[result.keep])
     if keep_noise:
-        cloud_io.write(keep_noise, records[~result.keep])
+        clouds.write(keep_noise, records[~result.keep])
     if scores:
-        cloud_io.write(scores, cloud_io.from_columns({"keep": result.keep, "score": result.score}))
+        clouds.write(scores, clouds.from_columns({"keep": result.keep, "score": result.score}))
     if picture:
         _draw(xyz, result, picture)
     _report(result)
 
 
 def _check_output(path: Path, source: Path) -> None:
-    from stereo_ore import cloud_io
+    from stereo_ore.io import clouds
 
-    cloud_io.format_of(path)
+    clouds.format_of(path)
     if path.exists() and source.exists() and path.samefile(source):
         raise CloudError("is the input", file=path, remedy="Name another file; the recorded cloud is not replaced")
 
@@ -92,7 +93,7 @@ def _metres(source: Path, xyz: Any, unit: str | None) -> float:
 
 
 def _draw(xyz: Any, result: FilterResult, picture: Path) -> None:
-    from stereo_ore import filter_pictures
+    from stereo_ore.draw import filter_pictures
 
     filter_pictures.outlier_factors(xyz, result.score, picture)
     kept = picture.with_name(f"{picture.stem}-kept{picture.suffix}")

@@ -11,7 +11,7 @@ import typer
 from stereo_ore.errors import FrameError, SourceError
 
 if TYPE_CHECKING:
-    from stereo_ore.sources import Source
+    from stereo_ore.io.recordings import Source
     from stereo_ore.types import StereoCalibration
 
 log = logging.getLogger(__name__)
@@ -25,7 +25,7 @@ def open_recording(
     max_skew_ms: float,
 ) -> Source:
     """The recording that the options of a verb name."""
-    from stereo_ore.sources import BagOptions, open_source, open_two_files
+    from stereo_ore.io.recordings import BagOptions, open_source, open_two_files
 
     if left and right and source is None:
         return open_two_files(left, right)
@@ -43,7 +43,7 @@ def calibration_of(
     recording: Source, calib: Path | None, image_size: tuple[int, int] | None = None
 ) -> StereoCalibration:
     """The calibration given or, without one, that of the recording."""
-    from stereo_ore.calibration import load
+    from stereo_ore.io.calibration import load
 
     if calib:
         return load(calib, image_size=image_size or frame_size(recording))

@@ -76,12 +76,12 @@ def run(
     from stereo_ore.chain import Chain
     from stereo_ore.cli.recording import calibration_of, open_recording
     from stereo_ore.config import load_config
-    from stereo_ore.figures import require_matplotlib
+    from stereo_ore.draw.figures import require_matplotlib
+    from stereo_ore.io.recordings import limit_pixels
+    from stereo_ore.io.site import load_site
     from stereo_ore.runs.identity import InputFiles
     from stereo_ore.runs.run import RunOptions, select
     from stereo_ore.runs.run import run as run_frames
-    from stereo_ore.site import load_site
-    from stereo_ore.sources import limit_pixels
 
     if scheduler and workers > 1:
         raise typer.BadParameter("give one of --workers and --scheduler")
@@ -133,7 +133,7 @@ def _progress() -> Iterator[Progress]:
 
 def _summarise(out: Path) -> None:
     """What was found on standard output, and what went wrong on standard error."""
-    from stereo_ore.runs.results import Results
+    from stereo_ore.io.results import Results
 
     totals: Counter[str] = Counter()
     bad: list[Json] = []

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
+    from stereo_ore.plant.frames import LiveSource
+    from stereo_ore.plant.loop import Process
+    from stereo_ore.plant.sinks.base import TargetSink
+    from stereo_ore.plant.sinks.message import Origin
     from stereo_ore.runs.folder import RunFolder
-    from stereo_ore.serve.frames import LiveSource
-    from stereo_ore.serve.loop import Process
-    from stereo_ore.sinks.base import TargetSink
-    from stereo_ore.sinks.message import Origin
     from stereo_ore.types import StereoCalibration
 
 log = logging.getLogger(__name__)
@@ -69,15 +69,15 @@ def serve(
     """
     from stereo_ore.chain import Chain
     from stereo_ore.config import load_config
+    from stereo_ore.io.site import load_site
+    from stereo_ore.plant.loop import processing
+    from stereo_ore.plant.sinks.message import Origin, transform_id
+    from stereo_ore.plant.sinks.settings import load_sinks, open_sinks
     from stereo_ore.runs.driver import Driver
     from stereo_ore.runs.folder import RunFolder
     from stereo_ore.runs.frame_files import FrameFiles
     from stereo_ore.runs.history import Watch
     from stereo_ore.runs.identity import InputFiles, description, write_inputs
-    from stereo_ore.serve.loop import processing
-    from stereo_ore.sinks.message import Origin, transform_id
-    from stereo_ore.sinks.settings import load_sinks, open_sinks
-    from stereo_ore.site import load_site
 
     consumers = open_sinks(load_sinks(sinks, opcua=opcua, mqtt=mqtt, tcp=tcp))
     parameters = load_config(config, settings or [])
@@ -105,10 +105,10 @@ def run_live(
     page: int | None,
 ) -> None:
     """Serve until a signal or the end of the source; then give the folder its final names."""
-    from stereo_ore.serve.loop import serve as serve_frames
-    from stereo_ore.serve.page import LivePage
-    from stereo_ore.serve.publisher import Publisher
-    from stereo_ore.serve.status import Status
+    from stereo_ore.plant.loop import serve as serve_frames
+    from stereo_ore.plant.page import LivePage
+    from stereo_ore.plant.publisher import Publisher
+    from stereo_ore.plant.status import Status
 
     stop = threading.Event()
     with Publisher(consumers, valid_for_s, origin) as publisher, _signals(stop), ExitStack() as stack:
@@ -148,12 +148,12 @@ def _open(
     max_pixels: int,
 ) -> tuple[LiveSource, StereoCalibration]:
     """Where frames come from, and the calibration for images of their size."""
-    from stereo_ore.calibration import load
     from stereo_ore.cli.recording import calibration_of
-    from stereo_ore.serve.camera import open_camera
-    from stereo_ore.serve.frames import Recording
-    from stereo_ore.serve.watch import FolderWatch, first_size
-    from stereo_ore.sources import limit_pixels, open_source
+    from stereo_ore.io.calibration import load
+    from stereo_ore.io.recordings import limit_pixels, open_source
+    from stereo_ore.plant.camera import open_camera
+    from stereo_ore.plant.frames import Recording
+    from stereo_ore.plant.watch import FolderWatch, first_size
 
     match source, watch, camera, calib:
         case Path(), None, None, _:

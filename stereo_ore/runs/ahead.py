@@ -9,7 +9,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from stereo_ore.sources.base import Source
+from stereo_ore.io.recordings.base import Source
 from stereo_ore.types import StereoCalibration, StereoPair
 
 FRAMES_AHEAD = 2

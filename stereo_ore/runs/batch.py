@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 from multiprocessing import get_context, parent_process
 
 from stereo_ore.errors import FrameError
+from stereo_ore.io.recordings import Source
 from stereo_ore.runs.ahead import ReadAhead
 from stereo_ore.runs.driver import Driver
 from stereo_ore.runs.folder import FrameLines
-from stereo_ore.sources import Source
 from stereo_ore.types import FrameResult
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")

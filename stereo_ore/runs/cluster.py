@@ -25,10 +25,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stereo_ore.errors import ClusterError, MissingExtraError, StereoOreError
+from stereo_ore.io.atomic import write_bytes
 from stereo_ore.runs.batch import Job
 from stereo_ore.runs.folder import FrameLines
 from stereo_ore.runs.identity import versions
-from stereo_ore.sinks.atomic import write_bytes
 
 if TYPE_CHECKING:
     from distributed import Client, Future

@@ -15,8 +15,8 @@ from types import TracebackType
 from typing import IO, Any
 
 from stereo_ore.errors import OutputError
-from stereo_ore.runs.ore_table import ores_csv
-from stereo_ore.sinks.atomic import guarded, make_folder, remove_leftovers, write_bytes, write_lines, write_text
+from stereo_ore.io.atomic import guarded, make_folder, remove_leftovers, write_bytes, write_lines, write_text
+from stereo_ore.io.ore_table import ores_csv
 
 LINES = ("frames.jsonl", "timings.jsonl", "inputs.jsonl")
 FRAME_FOLDERS = ("clouds", "overlays", "stages", "pictures")

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stereo_ore import overlay, scene_picture
-from stereo_ore.images import encode_png
-from stereo_ore.sinks.atomic import write_bytes
+from stereo_ore.draw import overlay, scene_picture
+from stereo_ore.draw.images import encode_png
+from stereo_ore.io.atomic import write_bytes
 from stereo_ore.types import I32, U8, FrameResult, PointCloud, VoxelCloud
 
 NPZ_LEVEL = 1

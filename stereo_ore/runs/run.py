@@ -9,16 +9,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from stereo_ore import matching
 from stereo_ore.chain import Chain
 from stereo_ore.errors import MissingExtraError, SourceError
+from stereo_ore.io.recordings import Source
 from stereo_ore.runs import batch, cluster
 from stereo_ore.runs.driver import Driver
 from stereo_ore.runs.folder import RunFolder
 from stereo_ore.runs.frame_files import FrameFiles
 from stereo_ore.runs.history import Watch
 from stereo_ore.runs.identity import InputFiles, description, write_inputs
-from stereo_ore.sources import Source
+from stereo_ore.stages import matching
 
 log = logging.getLogger(__name__)
 
@@ -135,8 +135,8 @@ def _description(recording: Source, indices: range, chain: Chain, inputs: InputF
 
 
 def _report(out: Path, recording: Source, indices: range, chain: Chain) -> Path | None:
-    from stereo_ore.report import write_report
-    from stereo_ore.report.calibration import write_check
+    from stereo_ore.draw.report import write_report
+    from stereo_ore.draw.report.calibration import write_check
 
     check = write_check(out, recording, indices, chain.calibration)
     for finding in check["findings"] if check else ():
