@@ -8,6 +8,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from stereo_ore.version import __version__
+
 if TYPE_CHECKING:
     from stereo_ore.config import Config
     from stereo_ore.detector import Detector, Recording, filter_cloud, open_recording, run
@@ -23,8 +25,6 @@ if TYPE_CHECKING:
     from stereo_ore.io.results import Results
     from stereo_ore.result import Picture, Result
     from stereo_ore.types import Ore, Site, Solid, StereoCalibration, StereoPair, Strike
-
-__version__ = "0.1.0"
 
 __all__ = [
     "CalibrationError",
@@ -46,6 +46,7 @@ __all__ = [
     "StereoOreError",
     "StereoPair",
     "Strike",
+    "__version__",
     "filter_cloud",
     "open_recording",
     "run",

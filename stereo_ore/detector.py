@@ -13,9 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from stereo_ore.chain import Chain
-from stereo_ore.config import Config, load_config
+from stereo_ore.config import Config
 from stereo_ore.errors import CloudError, FrameError
 from stereo_ore.io import calibration as calibrations
+from stereo_ore.io.parameters import load_config
 from stereo_ore.io.recordings import BagOptions, Source, limit_pixels, open_source
 from stereo_ore.io.results import Results
 from stereo_ore.io.site import load_site

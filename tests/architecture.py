@@ -70,22 +70,23 @@ def wing(module: str) -> str:
 
 FACE = "face"
 CORE = frozenset(
-    ("chain", "types", "config", "errors", "transforms", "planes", "threads", "network", "stages")
+    ("chain", "types", "config", "errors", "transforms", "planes", "threads", "network", "stages", "version")
 )
 MAY_IMPORT: Mapping[str, frozenset[str]] = {
     **dict.fromkeys(CORE, CORE),
     "record": CORE,
     "io": CORE | {"record"},
+    "draw": CORE | {"io"},
     "calibrate": CORE | {"io", "draw"},
-    "draw": CORE | {"io", "record", "calibrate"},
+    "report": CORE | {"io", "draw", "calibrate"},
     "export": CORE | {"io", "record"},
-    "runs": CORE | {"io", "record", "draw", "calibrate", FACE},
-    "plant": CORE | {"io", "record", "runs"},
-    "lab": CORE | {"io", "record", "runs", "draw", "calibrate"},
+    "runs": CORE | {"io", "record", "draw", "report"},
+    "plant": CORE | {"io", "runs"},
+    "lab": CORE | {"io", "record", "runs", "draw"},
     FACE: CORE | {"io", "record", "runs", "draw", "cli"},
-    "cli": CORE | {"io", "record", "runs", "draw", "calibrate", "export", "plant", "lab", FACE},
+    "cli": CORE | {"io", "runs", "draw", "calibrate", "report", "export", "plant", "lab"},
 }
-"""What each wing may import beside itself; `runs` and `cli` take the version from the package itself."""
+"""What each wing may import beside itself."""
 LAB_VERBS = frozenset(f"stereo_ore.cli.{verb}" for verb in ("bench", "synth", "tune", "evaluate"))
 
 

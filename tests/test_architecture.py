@@ -5,52 +5,76 @@ import subprocess
 import sys
 from pathlib import Path
 
+import architecture
 import pytest
+from architecture import PACKAGE
 
-PACKAGE = Path(__file__).parents[1] / "stereo_ore"
-STAGES = ("rectify", "matching", "cloud", "voxels", "filters", "grizzly", "segment", "solid", "strike", "order")
-SHARED = ("types", "config", "errors", "transforms", "planes", "threads", "network")
+STAGES = PACKAGE / "stages"
+MORE_THAN_ONE = {"health": {"grizzly"}, "empty_screen": {"cloud", "grizzly", "matching"}}
+"""Stages that are about others: the check of the screen looks for a plane as the grizzly does."""
 HEAVY = ("open3d", "sklearn", "matplotlib", "plotly", "scipy.spatial", "pydantic", "cv2", "numpy")
 
 
-def stage_files(stage: str) -> list[Path]:
-    single = PACKAGE / f"{stage}.py"
-    return [single] if single.exists() else sorted((PACKAGE / stage).rglob("*.py"))
+def stage(module: str) -> str | None:
+    parts = module.split(".")
+    return parts[2] if parts[1:2] == ["stages"] and len(parts) > 2 else None
 
 
-def imported_parts(file: Path) -> set[str]:
-    """Parts of this package that a file imports, as the first name below ``stereo_ore``."""
-    parts = set()
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{file}: relative import"
-            module = node.module or ""
-            names = [f"{module}.{alias.name}" if module == "stereo_ore" else module for alias in node.names]
-        else:
-            continue
-        parts |= {name.split(".")[1] for name in names if name.startswith("stereo_ore.")}
-    return parts
+def stages_that_import_others(graph: architecture.Imports) -> list[str]:
+    return [
+        f"{module} imports {other}"
+        for module, others in graph.items()
+        for other in sorted(others)
+        if (mine := stage(module)) and (theirs := stage(other)) and theirs not in {mine, *MORE_THAN_ONE.get(mine, ())}
+    ]
 
 
-def forbidden_imports(file: Path, stage: str) -> set[str]:
-    return imported_parts(file) - {*SHARED, stage}
+@pytest.fixture(scope="module")
+def graph() -> architecture.Imports:
+    return architecture.imports()
 
 
-@pytest.mark.parametrize("stage", STAGES)
-def test_a_stage_imports_only_types_config_errors_and_transforms(stage: str) -> None:
-    files = stage_files(stage)
-    assert files, f"stage {stage} is gone: update STAGES"
-    assert {str(file): found for file in files if (found := forbidden_imports(file, stage))} == {}
+def test_no_wing_imports_what_it_must_not_know(graph: architecture.Imports) -> None:
+    assert architecture.breaches(graph) == []
 
 
-def test_the_rule_sees_a_stage_that_imports_another(tmp_path: Path) -> None:
-    bad = tmp_path / "strike.py"
-    bad.write_text(
-        "from stereo_ore.stages.solid import solids\nfrom stereo_ore import cloud\nimport stereo_ore.plant.sinks.files\n"
+def test_nothing_is_imported_in_a_circle(graph: architecture.Imports) -> None:
+    assert architecture.circles(graph) == []
+
+
+def test_no_stage_knows_another(graph: architecture.Imports) -> None:
+    names = {file.stem for file in STAGES.iterdir() if not file.name.startswith("_")}
+    assert {"matching", "filters", "strike"} <= names
+    assert set(MORE_THAN_ONE) <= names
+    assert stages_that_import_others(graph) == []
+
+
+def planted(folder: Path, **files: str) -> architecture.Imports:
+    """The graph of a package whose modules hold these lines; a dot in a name is two underscores."""
+    for name, text in files.items():
+        file = folder / "stereo_ore" / Path(*name.split("__")).with_suffix(".py")
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text)
+    return architecture.imports(folder / "stereo_ore")
+
+
+def test_each_rule_sees_a_breach(tmp_path: Path) -> None:
+    found = planted(
+        tmp_path,
+        stages__strike="from stereo_ore.stages import cloud",
+        stages__cloud="def f():\n    import stereo_ore.io.site",
+        io__site="from stereo_ore.stages.cloud import f\nfrom stereo_ore.lab.synth import g",
+        lab__synth="",
+        cli__run="from stereo_ore.lab import synth",
+        cli__bench="from stereo_ore.lab import synth",
     )
-    assert forbidden_imports(bad, "strike") == {"solid", "cloud", "sinks"}
+    assert stages_that_import_others(found) == ["stereo_ore.stages.strike imports stereo_ore.stages.cloud"]
+    assert architecture.circles(found) == [["stereo_ore.io.site", "stereo_ore.stages.cloud"]]
+    assert architecture.breaches(found) == [
+        "stereo_ore.cli.run, which is no verb of the laboratory, imports stereo_ore.lab.synth",
+        "stereo_ore.io.site imports stereo_ore.lab.synth",
+        "stereo_ore.stages.cloud imports stereo_ore.io.site",
+    ]
 
 
 def test_only_the_command_line_exits_and_prints() -> None:

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from stereo_ore.config import Config, dump_config, load_config
+from stereo_ore.config import Config
 from stereo_ore.errors import ConfigError
+from stereo_ore.io.parameters import dump_config, load_config
 
 
 def write(folder: Path, text: str) -> Path:

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from stereo_ore.chain import Chain
-from stereo_ore.config import load_config
 from stereo_ore.io.calibration import load
+from stereo_ore.io.parameters import load_config
 from stereo_ore.io.site import load_site
 from stereo_ore.types import U8, StereoPair
 

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from runs import cloud, make_run, ore, quarter_scene, record, write_lines
 
-from stereo_ore.draw.report import cloud_view, page, write_report
 from stereo_ore.errors import MissingExtraError, SourceError
 from stereo_ore.io import clouds
+from stereo_ore.report import cloud_view, page, write_report
 from stereo_ore.types import Rig
 
 MEGABYTE = 1_000_000
@@ -233,7 +233,7 @@ def test_run_checks_the_calibration_and_writes_the_report_unless_told_not_to(tmp
 
 def test_no_heavy_package_is_imported(folder: Path) -> None:
     code = (
-        "import sys; from pathlib import Path; from stereo_ore.draw.report import write_report\n"
+        "import sys; from pathlib import Path; from stereo_ore.report import write_report\n"
         f"write_report(Path({str(folder)!r}))\n"
         "print([name for name in ('plotly', 'open3d', 'sklearn', 'matplotlib', 'pandas') if name in sys.modules])"
     )

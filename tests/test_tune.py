@@ -10,9 +10,9 @@ import yaml
 from typer.testing import CliRunner
 
 from stereo_ore.cli import app, load_verbs
-from stereo_ore.config.loader import load_config
 from stereo_ore.errors import ConfigError, StereoOreError
 from stereo_ore.io import clouds
+from stereo_ore.io.parameters import load_config
 from stereo_ore.lab import tune
 from stereo_ore.lab.bench.labelled import TUNING_SEED, LabelledCloud, bare_cloud
 from stereo_ore.lab.metrics import FilterQuality, filter_quality

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from stereo_ore.calibrate.touched import Touched
-from stereo_ore.config.loader import nearest
+from stereo_ore.config.validation import nearest
 from stereo_ore.errors import CalibrationError
 from stereo_ore.io.calibration.geometry import rotation_matrix
 from stereo_ore.io.yaml_io import read_text

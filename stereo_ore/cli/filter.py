@@ -43,8 +43,8 @@ def filter_(
 
     Example: `stereo-ore filter scan.ply clean.ply --method adaptive --keep-noise noise.ply --picture factors.png`
     """
-    from stereo_ore.config.loader import load_config
     from stereo_ore.io import clouds
+    from stereo_ore.io.parameters import load_config
     from stereo_ore.stages import filters
     from stereo_ore.types import bare_cloud
 

@@ -18,6 +18,6 @@ def report(folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder th
 
     Example: `stereo-ore report out`
     """
-    from stereo_ore.draw.report import write_report
+    from stereo_ore.report import write_report
 
     typer.echo(write_report(folder))

@@ -75,8 +75,8 @@ def run(
     """
     from stereo_ore.chain import Chain
     from stereo_ore.cli.recording import calibration_of, open_recording
-    from stereo_ore.config import load_config
     from stereo_ore.draw.figures import require_matplotlib
+    from stereo_ore.io.parameters import load_config
     from stereo_ore.io.recordings import limit_pixels
     from stereo_ore.io.site import load_site
     from stereo_ore.runs.identity import InputFiles

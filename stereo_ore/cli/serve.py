@@ -68,7 +68,7 @@ def serve(
     Example: `stereo-ore serve --watch inbox --calib calib/zed2_hd720.yaml --site site.yaml --out live --opcua 4840`
     """
     from stereo_ore.chain import Chain
-    from stereo_ore.config import load_config
+    from stereo_ore.io.parameters import load_config
     from stereo_ore.io.site import load_site
     from stereo_ore.plant.loop import processing
     from stereo_ore.plant.sinks.message import Origin, transform_id

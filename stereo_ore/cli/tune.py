@@ -56,7 +56,7 @@ def tune(
 def _search(out: Path, method: str, files: list[Path], seeds: int, cost: Path | None) -> None:
     import yaml
 
-    from stereo_ore.config.loader import validate
+    from stereo_ore.config.validation import validate
     from stereo_ore.draw.figures import if_possible
     from stereo_ore.io.atomic import make_folder
     from stereo_ore.io.yaml_io import load_yaml

@@ -1,6 +1,5 @@
-"""Parameters: one pydantic model a stage, read from YAML and ``--set``, written back resolved."""
+"""Parameters: one pydantic model a stage, with units and ranges."""
 
-from stereo_ore.config.loader import dump_config, load_config, nearest, validate
 from stereo_ore.config.models import (
     CloudConfig,
     Config,
@@ -25,8 +24,4 @@ __all__ = [
     "SolidConfig",
     "StrikeConfig",
     "VoxelConfig",
-    "dump_config",
-    "load_config",
-    "nearest",
-    "validate",
 ]

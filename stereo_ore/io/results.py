@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy.typing as npt
 
-from stereo_ore.config import Config, load_config
+from stereo_ore.config import Config
 from stereo_ore.errors import SourceError
 from stereo_ore.io import calibration, clouds
 from stereo_ore.io.npz_io import load_arrays
+from stereo_ore.io.parameters import load_config
 from stereo_ore.io.record_check import record_fault
 from stereo_ore.io.site import load_site
 from stereo_ore.record import SCHEMA

@@ -10,7 +10,7 @@ import yaml
 from pydantic import BeforeValidator, Field
 
 from stereo_ore.config.fields import Number, Section
-from stereo_ore.config.loader import validate
+from stereo_ore.config.validation import validate
 from stereo_ore.errors import ConfigError
 from stereo_ore.io.yaml_io import load_yaml
 from stereo_ore.transforms import inverse, nearest_rotation, rotate, rotation_fault

@@ -10,12 +10,12 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from stereo_ore import __version__
 from stereo_ore.chain import Chain
-from stereo_ore.config import dump_config
 from stereo_ore.io.atomic import write_bytes, write_text
 from stereo_ore.io.calibration import dump
+from stereo_ore.io.parameters import dump_config
 from stereo_ore.runs.driver import sha256
+from stereo_ore.version import __version__
 
 SCHEMA = "stereo_ore/run/1"
 PACKAGES = (

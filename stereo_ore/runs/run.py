@@ -135,8 +135,8 @@ def _description(recording: Source, indices: range, chain: Chain, inputs: InputF
 
 
 def _report(out: Path, recording: Source, indices: range, chain: Chain) -> Path | None:
-    from stereo_ore.draw.report import write_report
-    from stereo_ore.draw.report.calibration import write_check
+    from stereo_ore.report import write_report
+    from stereo_ore.report.calibration import write_check
 
     check = write_check(out, recording, indices, chain.calibration)
     for finding in check["findings"] if check else ():

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from stereo_ore.calibrate.tables import read_poses, read_touched
-from stereo_ore.config import load_config
 from stereo_ore.errors import StereoOreError
 from stereo_ore.io import calibration, clouds
+from stereo_ore.io.parameters import load_config
 from stereo_ore.io.recordings import open_source
 from stereo_ore.io.recordings.images import read_image
 from stereo_ore.io.results import Results

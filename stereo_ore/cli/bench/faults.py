@@ -29,7 +29,7 @@ def faults(
 
     Example: `stereo-ore bench faults --family paper --family large --count 100`
     """
-    from stereo_ore.config import load_config
+    from stereo_ore.io.parameters import load_config
     from stereo_ore.lab import synth
     from stereo_ore.lab.bench import faults as bench
 

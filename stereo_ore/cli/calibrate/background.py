@@ -28,8 +28,8 @@ def background(
     """
     import numpy as np
 
-    from stereo_ore.config import load_config
     from stereo_ore.io.calibration import load
+    from stereo_ore.io.parameters import load_config
     from stereo_ore.io.recordings import open_source
     from stereo_ore.io.site import load_site
     from stereo_ore.stages import matching

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from stereo_ore.config.loader import nearest
+from stereo_ore.config.validation import nearest
 from stereo_ore.errors import CalibrationError
 from stereo_ore.io.calibration.formats import Hints, numbers, size_of
 from stereo_ore.io.calibration.geometry import make_calibration

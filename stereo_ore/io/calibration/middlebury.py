@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from stereo_ore.config.loader import nearest
+from stereo_ore.config.validation import nearest
 from stereo_ore.errors import CalibrationError
 from stereo_ore.io.calibration.formats import Hints, numbers, size_of
 from stereo_ore.io.calibration.geometry import make_calibration

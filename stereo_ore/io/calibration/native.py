@@ -9,7 +9,7 @@ import yaml
 from pydantic import Field
 
 from stereo_ore.config.fields import Number, Positive, Section
-from stereo_ore.config.loader import validate
+from stereo_ore.config.validation import validate
 from stereo_ore.errors import CalibrationError
 from stereo_ore.io.calibration.formats import Hints
 from stereo_ore.io.calibration.geometry import Images, make_calibration, rotation_vector

@@ -9,7 +9,7 @@ import configparser
 import re
 from pathlib import Path
 
-from stereo_ore.config.loader import nearest
+from stereo_ore.config.validation import nearest
 from stereo_ore.errors import CalibrationError
 from stereo_ore.io.calibration.formats import Hints
 from stereo_ore.io.calibration.geometry import make_calibration

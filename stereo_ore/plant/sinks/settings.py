@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from stereo_ore.config.loader import validate
+from stereo_ore.config.validation import validate
 from stereo_ore.errors import ConfigError
 from stereo_ore.io.yaml_io import load_yaml, read_text
 from stereo_ore.plant.sinks.base import TargetSink

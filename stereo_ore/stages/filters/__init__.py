@@ -20,8 +20,8 @@ from stereo_ore.config.filters import (
     RadiusParams,
     StatisticalParams,
 )
-from stereo_ore.config.loader import nearest, validate
 from stereo_ore.config.models import StageConfig
+from stereo_ore.config.validation import nearest, validate
 from stereo_ore.errors import ConfigError
 from stereo_ore.stages.filters.adaptive import adaptive
 from stereo_ore.stages.filters.baselines import lof, none, radius, statistical

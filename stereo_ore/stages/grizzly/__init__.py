@@ -11,7 +11,8 @@ from stereo_ore.config import GrizzlyConfig
 from stereo_ore.errors import FrameError
 from stereo_ore.stages.grizzly.bars import BarFit, fit_bars
 from stereo_ore.stages.grizzly.edges import sharpened
-from stereo_ore.stages.grizzly.plane import Sample, candidate_planes, draw_sample, refine, residual, tolerances
+from stereo_ore.stages.grizzly.plane import candidate_planes, refine, residual
+from stereo_ore.stages.grizzly.sample import Sample, draw_sample, tolerances
 from stereo_ore.types import Grizzly, Plane, Site, Surface
 
 __all__ = ["find"]

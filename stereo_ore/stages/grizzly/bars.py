@@ -10,7 +10,7 @@ import numpy as np
 from stereo_ore.types import F64, Bars, Mask, Plane
 
 if TYPE_CHECKING:
-    from stereo_ore.stages.grizzly.plane import Sample
+    from stereo_ore.stages.grizzly.sample import Sample
 
 COARSE, FINE = 60, 13
 """Directions tried over half a turn, and then around the best of them."""

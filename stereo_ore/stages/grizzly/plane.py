@@ -3,57 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 
 from stereo_ore.config import GrizzlyConfig
 from stereo_ore.stages.grizzly.bars import BarFit
-from stereo_ore.types import F32, F64, Mask, Plane, Surface
+from stereo_ore.stages.grizzly.sample import Sample
+from stereo_ore.types import F32, Mask, Plane
 
-Noise = TypeVar("Noise", F32, F64)
-
-SAMPLE = 8_000
-"""Points looked at: enough to place a plane to a tenth of the depth noise."""
 SCORED = 600
-"""Of these, the ones each RANSAC hypothesis is scored on."""
+"""Points of the sample that each RANSAC hypothesis is scored on."""
 CANDIDATES = 3
 MIN_ANGLE_RAD = 0.1
 NARROWING = (1.0, 0.7, 0.7)
 """Inlier distances of successive fits, so that a frame a little higher than the bars loses its pull."""
-
-
-@dataclass(frozen=True)
-class Sample:
-    """Points of a regular image grid: xyz (N, 3) [m], inlier distance (N,) [m], surface share of each (N,) [m²]."""
-
-    xyz: F64
-    tolerance: F64
-    area: F64
-
-    def __len__(self) -> int:
-        return len(self.xyz)
-
-
-def draw_sample(surface: Surface, config: GrizzlyConfig) -> Sample:
-    """Every n-th pixel in both directions, with the distance within which it may lie on a plane.
-
-    The area grows with z², so that near and far parts of an oblique screen weigh the same.
-    """
-    valid = np.count_nonzero(np.isfinite(surface.xyz[..., 2]))
-    step = max(1, int(np.sqrt(valid / SAMPLE)))
-    xyz = surface.xyz[::step, ::step].reshape(-1, 3).astype(np.float64)
-    sigma = surface.sigma_z[::step, ::step].reshape(-1).astype(np.float64)
-    keep = np.isfinite(xyz[:, 2]) & np.isfinite(sigma)
-    xyz, sigma = xyz[keep], sigma[keep]
-    area = (xyz[:, 2] / surface.rig.fx * step) ** 2
-    return Sample(xyz, tolerances(sigma, config), area)
-
-
-def tolerances(sigma: Noise, config: GrizzlyConfig) -> Noise:
-    """Inlier distance [m] by depth noise [m]: `sigmas` of it, or the configured constant."""
-    return np.full_like(sigma, config.distance_m) if config.distance_m else config.sigmas * sigma
 
 
 def candidate_planes(sample: Sample, config: GrizzlyConfig) -> Iterator[tuple[Plane, float]]:

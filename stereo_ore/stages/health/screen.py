@@ -15,7 +15,8 @@ import numpy as np
 
 from stereo_ore.config import GrizzlyConfig, HealthConfig
 from stereo_ore.stages.grizzly.bars import BarFit
-from stereo_ore.stages.grizzly.plane import Sample, candidate_planes, draw_sample, refine, tolerances
+from stereo_ore.stages.grizzly.plane import candidate_planes, refine
+from stereo_ore.stages.grizzly.sample import Sample, draw_sample, tolerances
 from stereo_ore.types import F64, Mask, Plane, Reason, Surface
 
 FEWEST_POINTS = 200

@@ -29,7 +29,7 @@ def render(data: Mapping[str, Any], title: str) -> str:
 
 
 def _part(name: str) -> str:
-    return (files("stereo_ore.draw.report") / name).read_text(encoding="utf-8")
+    return (files("stereo_ore.report") / name).read_text(encoding="utf-8")
 
 
 def _script_json(data: Mapping[str, Any]) -> str:
