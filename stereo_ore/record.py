@@ -1,4 +1,4 @@
-"""The record of a frame: `FrameResult` → the JSON object that other programs read (schema/frame-1.json)."""
+"""The record of a frame: `FrameResult` → the JSON object that other programs read (schema/frame-2.json)."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy.typing as npt
 
+from stereo_ore.losses import losses
 from stereo_ore.types import FrameResult, Grizzly, Ore, Reason, Site, Solid, Strike
 
-SCHEMA = "stereo_ore/frame/1"
+SCHEMA = "stereo_ore/frame/2"
 DECIMALS = 6
 """Metres are written to the micrometre: finer digits are noise, and would differ between machines."""
 
@@ -31,6 +32,7 @@ def record(result: FrameResult, site: Site) -> Json:
         "camera_frame": "left_rectified",
         "arm_frame": "arm" if site.T_arm_camera is not None else None,
         "counts": dict(result.counts),
+        "losses": [vars(loss) for loss in losses(result)],
         "grizzly": _grizzly(result.grizzly),
         "ores": [_ore(ore) for ore in result.ores],
         "targets": list(result.targets),

@@ -70,7 +70,7 @@ def wing(module: str) -> str:
 
 FACE = "face"
 CORE = frozenset(
-    ("chain", "types", "config", "errors", "transforms", "planes", "threads", "network", "stages", "version")
+    ("chain", "losses", "types", "config", "errors", "transforms", "planes", "threads", "network", "stages", "version")
 )
 MAY_IMPORT: Mapping[str, frozenset[str]] = {
     **dict.fromkeys(CORE, CORE),

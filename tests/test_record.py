@@ -14,7 +14,7 @@ from stereo_ore.chain import COUNTS
 from stereo_ore.record import number, record, to_line
 from stereo_ore.types import FrameResult, Grizzly, Ore, Plane, Reason, Site, Solid, Strike, StrikePlan
 
-SCHEMA = json.loads((files("stereo_ore") / "schema" / "frame-1.json").read_text(encoding="utf-8"))
+SCHEMA = json.loads((files("stereo_ore") / "schema" / "frame-2.json").read_text(encoding="utf-8"))
 VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
 
 T_ARM_CAMERA = np.array([[0.0, 1, 0, 1], [1, 0, 0, 2], [0, 0, -1, 3], [0, 0, 0, 1]])

@@ -196,7 +196,7 @@ def test_calibration_verdict_is_shown(tmp_path: Path) -> None:
     ("content", "message"),
     [
         ("nonsense\n", "line 1 is no JSON object"),
-        ('{"schema": "other"}\n', "line 1 is no record of stereo_ore/frame/1"),
+        ('{"schema": "other"}\n', "line 1 is no record of stereo_ore/frame/2"),
     ],
 )
 def test_what_is_no_run(content: str, message: str, tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from stereo_ore.io.site import load_site
 
 ROOT = Path(__file__).parents[1]
 SCENE = ROOT / "data" / "paper_03"
-SCHEMA = ROOT / "stereo_ore" / "schema" / "frame-1.json"
+SCHEMA = ROOT / "stereo_ore" / "schema" / "frame-2.json"
 COMPARED = ("frames.jsonl", "ores.csv")
 
 

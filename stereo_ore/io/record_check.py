@@ -31,17 +31,23 @@ TYPES: Mapping[str, Callable[[Any], bool]] = {
 }
 
 
+NEWEST = "frame-2.json"
+SCHEMAS = {"stereo_ore/frame/1": "frame-1.json", "stereo_ore/frame/2": NEWEST}
+"""What is written today, and what was written before: runs stay readable."""
+
+
 def record_fault(value: Any) -> str | None:
     """Why a JSON value is no record of a frame; None when it is one."""
-    fault = _record_check()(value)
+    name = value.get("schema") if isinstance(value, dict) else None
+    fault = _record_check(SCHEMAS.get(name if isinstance(name, str) else "", NEWEST))(value)
     if fault is None and not FRAME_NAME.fullmatch(value["frame"]):
         return "frame: is no name of a file"
     return fault
 
 
-@lru_cache(maxsize=1)
-def _record_check() -> Check:
-    text = (files("stereo_ore") / "schema" / "frame-1.json").read_text(encoding="utf-8")
+@lru_cache
+def _record_check(file: str) -> Check:
+    text = (files("stereo_ore") / "schema" / file).read_text(encoding="utf-8")
     schema = json.loads(text)
     return _compile(schema, schema["$defs"])
 

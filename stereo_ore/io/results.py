@@ -17,7 +17,7 @@ from stereo_ore.errors import SourceError
 from stereo_ore.io import calibration, clouds
 from stereo_ore.io.npz_io import load_arrays
 from stereo_ore.io.parameters import load_config
-from stereo_ore.io.record_check import record_fault
+from stereo_ore.io.record_check import SCHEMAS, record_fault
 from stereo_ore.io.site import load_site
 from stereo_ore.record import SCHEMA
 from stereo_ore.stages.rectify import make_rectifier
@@ -158,7 +158,7 @@ def _finite(text: str) -> float:
 
 
 def _checked(record: Json, file: Path, number: int) -> Json:
-    if record.get("schema") != SCHEMA:
+    if record.get("schema") not in SCHEMAS:
         raise SourceError(f"line {number} is no record of {SCHEMA}", file=file, remedy="Repeat the run")
     if fault := record_fault(record):
         raise SourceError(f"line {number} is no record: {fault}", file=file, remedy="Repeat the run")

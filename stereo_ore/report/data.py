@@ -126,6 +126,7 @@ def _detail(results: Results, record: Json) -> dict[str, Any]:
     cloud, timing = results.cloud(frame), results.timings.get(frame)
     detail: dict[str, Any] = {
         "counts": record["counts"],
+        "losses": record.get("losses", []),
         "grizzly": record["grizzly"],
         "arm_frame": record["arm_frame"],
         "ores": [_ore(ore) for ore in record["ores"]],

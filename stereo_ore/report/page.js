@@ -101,6 +101,13 @@ function drawDetail(detail) {
       return [name, Math.log10(1 + value), value.toLocaleString("en") + share];
     }),
   );
+  at("losses").replaceChildren(
+    ...detail.losses.map(loss => {
+      const entry = document.createElement("li");
+      entry.textContent = `${loss.count.toLocaleString("en")} ${loss.unit}: ${loss.detail} (${loss.code})`;
+      return entry;
+    }),
+  );
   if (detail.scores) drawScores(detail.scores);
   if (detail.noise) drawNoise(detail.noise);
   bars(
