@@ -23,7 +23,7 @@ from pyarrow import dataset, parquet
 from stereo_ore.export.parquet import NO_DAY, TABLES, run_id, schema_of, write_parquet
 
 DAY_NS = 86_400_000_000_000
-README = Path(__file__).parents[1] / "README.md"
+GUIDE = Path(__file__).parents[1] / "docs" / "cluster.md"
 
 
 def add(folder: Path, records: list[dict], lake: Path, digest: str, camera: str | None = None) -> Path:
@@ -138,7 +138,7 @@ def test_a_fault_leaves_the_tables_as_they_were(lake: Path, tmp_path: Path) -> N
 
 
 def test_the_query_of_the_readme(lake: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    query = README.read_text(encoding="utf-8").partition("```sql\n")[2].partition("```")[0]
+    query = GUIDE.read_text(encoding="utf-8").partition("```sql\n")[2].partition("```")[0]
     monkeypatch.chdir(lake.parent)
     lake.rename(lake.parent / "tables")
     rows = ask(query)

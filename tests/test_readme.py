@@ -1,5 +1,6 @@
-"""What the README and the calibration guide name exists: verbs, options and extras."""
+"""What README and docs name exists: verbs, options, extras, links, words."""
 
+import json
 import re
 import tomllib
 from pathlib import Path
@@ -9,9 +10,12 @@ import pytest
 import typer
 
 from stereo_ore.cli import app, load_verbs
+from stereo_ore.config import Config
 
 ROOT = Path(__file__).parents[1]
-GUIDES = ("README.md", "calib/README.md")
+GUIDES = ("README.md", "calib/README.md", *sorted(f"docs/{page.name}" for page in (ROOT / "docs").glob("*.md")))
+WITH_COMMANDS = [guide for guide in GUIDES if "stereo-ore " in (ROOT / guide).read_text(encoding="utf-8")]
+PAGES = (*GUIDES, "CONTRIBUTING.md", "tests/README.md", "data/README.md", ".github/SECURITY.md")
 COMMAND = re.compile(r"stereo-ore ((?!--)[a-z][^`\n#]*)")
 
 
@@ -38,10 +42,10 @@ def named(guide: str) -> list[str]:
     return [line.strip() for line in COMMAND.findall((ROOT / guide).read_text(encoding="utf-8"))]
 
 
-@pytest.mark.parametrize("guide", GUIDES)
+@pytest.mark.parametrize("guide", WITH_COMMANDS)
 def test_every_command_shown_has_its_verb_and_options(guide: str) -> None:
     known, lines = commands(root()), named(guide)
-    assert len(lines) > 2
+    assert lines
     for line in lines:
         words = line.split()
         verb = " ".join(words[:2]) if " ".join(words[:2]) in known else words[0]
@@ -54,7 +58,37 @@ def test_every_command_shown_has_its_verb_and_options(guide: str) -> None:
 def test_every_option_named_exists_somewhere(guide: str) -> None:
     text = re.sub(r"^dask .*", "", (ROOT / guide).read_text(encoding="utf-8"), flags=re.MULTILINE)
     known = set().union(*(options(command) for command in commands(root()).values()))
-    assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", text)) <= known
+    assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", text)) <= known | {"--strict"}
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_link_leads_somewhere(page: str) -> None:
+    folder = (ROOT / page).parent
+    links = re.findall(r"\]\(([^)#\s]+)", (ROOT / page).read_text(encoding="utf-8"))
+    assert [link for link in links if "://" not in link and not (folder / link).exists()] == []
+
+
+def test_the_readme_is_short() -> None:
+    assert (ROOT / "README.md").stat().st_size <= 10_000
+
+
+def record_keys(schema: Any) -> set[str]:
+    """Names of all properties of a JSON schema."""
+    if isinstance(schema, list):
+        return set().union(*map(record_keys, schema))
+    if not isinstance(schema, dict):
+        return set()
+    inner = [part for key, part in schema.items() if key not in ("const", "enum")]
+    properties = schema.get("properties", {})
+    return set(properties if isinstance(properties, dict) else ()).union(*map(record_keys, inner))
+
+
+def test_the_glossary_has_the_words_of_records_and_parameters() -> None:
+    schema = json.loads((ROOT / "stereo_ore" / "schema" / "frame-2.json").read_text(encoding="utf-8"))
+    text = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
+    words = set(re.findall(r"\w+", text))
+    assert {key for key in record_keys(schema["$defs"]) | record_keys(schema) if key not in words} == set()
+    assert {name for name in Config.model_fields if name not in words} == set()
 
 
 def test_every_verb_is_in_the_table() -> None:

@@ -35,7 +35,7 @@ def filter_(
 ) -> None:
     """Compare filters: quality (equation 7) and time. Baselines get the best of a grid on each cloud; ours do not.
 
-    Example: `stereo-ore bench filter --out bench --scenes scenes --readme README.md`
+    Example: `stereo-ore bench filter --out bench --scenes scenes --readme docs/benchmarks.md`
     """
     from stereo_ore.io.atomic import make_folder
     from stereo_ore.lab.bench import filters as bench

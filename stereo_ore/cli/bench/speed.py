@@ -35,7 +35,7 @@ def speed(
 ) -> None:
     """Time and memory of each stage beside OpenCV's plain SGBM; the filter on growing clouds beside the usual ones.
 
-    Example: `stereo-ore bench speed --out bench --readme README.md`
+    Example: `stereo-ore bench speed --out bench --readme docs/benchmarks.md`
     """
     from stereo_ore.draw import figures
     from stereo_ore.io.atomic import make_folder

@@ -1,4 +1,4 @@
-"""Markdown of the benchmark, and its place in the README."""
+"""Markdown of the benchmark, and its place in the documentation."""
 
 from __future__ import annotations
 
