@@ -57,7 +57,7 @@ _MODULES = {
     "detector": ("Detector", "Recording", "filter_cloud", "open_recording", "run"),
     "errors": tuple(name for name in __all__ if name.endswith("Error")),
     "result": ("Picture", "Result"),
-    "runs.results": ("Results",),
+    "io.results": ("Results",),
     "types": ("Ore", "Site", "Solid", "StereoCalibration", "StereoPair", "Strike"),
 }
 _HOME = {name: module for module, names in _MODULES.items() for name in names}
