@@ -10,7 +10,10 @@ from typing import TypeVar
 
 import numpy as np
 
-from stereo_ore import (
+from stereo_ore.config import Config
+from stereo_ore.errors import FrameError
+from stereo_ore.io.recordings import Source
+from stereo_ore.stages import (
     cloud,
     empty_screen,
     filters,
@@ -24,9 +27,6 @@ from stereo_ore import (
     strike,
     voxels,
 )
-from stereo_ore.config import Config
-from stereo_ore.errors import FrameError
-from stereo_ore.sources import Source
 from stereo_ore.threads import pool
 from stereo_ore.types import (
     Disparity,

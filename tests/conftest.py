@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 import pytest
 
-from stereo_ore import synth
+from stereo_ore.lab import synth
 from stereo_ore.types import F32, F64, RectifiedPair, Rig
 
 # Tests run the command that is installed beside this Python, also when its environment is not activated.

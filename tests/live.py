@@ -16,13 +16,13 @@ from pathlib import Path
 from typing import Any
 
 from stereo_ore.errors import FrameError
-from stereo_ore.serve.frames import LiveFrame
-from stereo_ore.serve.loop import serve
-from stereo_ore.serve.publisher import Publisher
-from stereo_ore.serve.status import Status
-from stereo_ore.serve.watch import FolderWatch
-from stereo_ore.sinks.message import Message, Origin, message
-from stereo_ore.sinks.run_folder import FrameLines, RunFolder
+from stereo_ore.plant.frames import LiveFrame
+from stereo_ore.plant.loop import serve
+from stereo_ore.plant.publisher import Publisher
+from stereo_ore.plant.sinks.message import Message, Origin, message
+from stereo_ore.plant.status import Status
+from stereo_ore.plant.watch import FolderWatch
+from stereo_ore.runs.folder import FrameLines, RunFolder
 
 
 def make_ore(id: int, index: int = 0) -> dict[str, Any]:
@@ -117,7 +117,7 @@ class ListSink:
         self.messages.append((time.monotonic(), message))
 
     def state(self) -> Any:
-        from stereo_ore.sinks.base import SinkState
+        from stereo_ore.plant.sinks.base import SinkState
 
         return SinkState("list", "here", True, 1, len(self.messages), 0)
 
@@ -162,7 +162,7 @@ def main() -> None:
     signal.signal(signal.SIGTERM, lambda *_: done.set())
     sinks: list[Any] = []
     if arguments.opcua:
-        from stereo_ore.sinks.opcua import OpcUaSink
+        from stereo_ore.plant.sinks.opcua import OpcUaSink
 
         sinks.append(OpcUaSink("127.0.0.1", arguments.opcua))
     with running(FolderWatch(arguments.watch, poll_s=0.02, patience_s=20), arguments.out, sinks, valid_for_s=2.0):

@@ -9,10 +9,10 @@ import yaml
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from stereo_ore.calibration.detect import Board
-from stereo_ore.calibration.geometry import make_calibration
-from stereo_ore.calibration.zed import SIZES
-from stereo_ore.rectify import rectification
+from stereo_ore.calibrate.detect import Board
+from stereo_ore.io.calibration.geometry import make_calibration
+from stereo_ore.io.calibration.zed import SIZES
+from stereo_ore.stages.rectify import rectification
 from stereo_ore.transforms import apply
 from stereo_ore.types import F64, U8, CameraModel, StereoCalibration
 

@@ -8,7 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from stereo_ore import cloud_io
+from stereo_ore.io import clouds
 
 ROOT = Path(__file__).parents[1]
 STAMP = 1_700_000_000_000_000_000
@@ -45,7 +45,7 @@ def record(index: int, ores: list[dict[str, Any]], status: str = "ok", **more: A
     } | more  # fmt: skip
 
 
-def cloud(seed: int, count: int = 500) -> cloud_io.Records:
+def cloud(seed: int, count: int = 500) -> clouds.Records:
     rng = np.random.default_rng(seed)
     table = np.zeros(count, list(FIELDS.items()))
     table["x"], table["y"] = rng.uniform(-0.4, 0.4, (2, count))
@@ -85,12 +85,12 @@ def make_run(folder: Path, records: list[dict[str, Any]] | None = None, stages: 
 
 def make_frame(folder: Path, frame: str, seed: int, stages: bool) -> None:
     table = cloud(seed)
-    cloud_io.write(folder / "clouds" / f"{frame}.ply", table)
+    clouds.write(folder / "clouds" / f"{frame}.ply", table)
     picture = np.full((90, 160, 3), (30, 90, 200), np.uint8)
     cv2.imwrite(str(folder / "overlays" / f"{frame}.png"), picture)
     if stages:
         keep = np.arange(600) < 500
-        xyz = np.pad(cloud_io.xyz(table), ((0, 100), (0, 0)), constant_values=0.5).astype(np.float32)
+        xyz = np.pad(clouds.xyz(table), ((0, 100), (0, 0)), constant_values=0.5).astype(np.float32)
         disparity = np.where(np.indices((90, 160))[1] > 40, np.float32(20), np.float32(np.nan))
         np.savez_compressed(
             folder / "stages" / f"{frame}.npz",

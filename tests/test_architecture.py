@@ -47,7 +47,9 @@ def test_a_stage_imports_only_types_config_errors_and_transforms(stage: str) -> 
 
 def test_the_rule_sees_a_stage_that_imports_another(tmp_path: Path) -> None:
     bad = tmp_path / "strike.py"
-    bad.write_text("from stereo_ore.solid import solids\nfrom stereo_ore import cloud\nimport stereo_ore.sinks.files\n")
+    bad.write_text(
+        "from stereo_ore.stages.solid import solids\nfrom stereo_ore import cloud\nimport stereo_ore.plant.sinks.files\n"
+    )
     assert forbidden_imports(bad, "strike") == {"solid", "cloud", "sinks"}
 
 

@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stereo_ore import batch
 from stereo_ore.errors import FrameError, OutputError
 from stereo_ore.pipeline import COUNTS
-from stereo_ore.sinks.frame_files import npz
-from stereo_ore.sources import ahead
-from stereo_ore.sources.ahead import ReadAhead
+from stereo_ore.runs import ahead, batch
+from stereo_ore.runs.ahead import ReadAhead
+from stereo_ore.runs.frame_files import npz
 from stereo_ore.types import FrameResult, Reason, StereoPair
 
 IMAGE = np.zeros((2, 2, 3), np.uint8)
@@ -49,7 +48,7 @@ class Fake:
         time.sleep(self.seconds)
         if index in self.broken:
             raise FrameError("is broken", code="BROKEN", file=f"{index}")
-        return StereoPair(self.names[index], index, IMAGE, IMAGE)
+        return StereoPair(IMAGE, IMAGE, name=self.names[index], index=index)
 
 
 class FakeFiles:

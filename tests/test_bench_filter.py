@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from stereo_ore.bench import filters as bench
-from stereo_ore.bench import tables
-from stereo_ore.bench.baselines import Contender
-from stereo_ore.bench.labelled import LabelledCloud, bare_cloud, labelled_file, paper_clouds, scene_stereo
 from stereo_ore.cli import app, load_verbs
 from stereo_ore.errors import CloudError, OutputError, SourceError
+from stereo_ore.lab.bench import filters as bench
+from stereo_ore.lab.bench import tables
+from stereo_ore.lab.bench.baselines import Contender
+from stereo_ore.lab.bench.labelled import LabelledCloud, bare_cloud, labelled_file, paper_clouds, scene_stereo
 
 
 def plane_with_outliers() -> LabelledCloud:

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from stereo_ore import synth
-from stereo_ore.bench import growth, memory, speed, speed_tables
-from stereo_ore.bench.growth import GrowthRow
 from stereo_ore.cli import app, load_verbs
 from stereo_ore.errors import ConfigError
+from stereo_ore.lab import synth
+from stereo_ore.lab.bench import growth, memory, speed, speed_tables
+from stereo_ore.lab.bench.growth import GrowthRow
 
 STAGES = ["read", "rectify", "match", "cloud", "voxels", "filter", "grizzly", "segment", "ores", "record", "files"]
 

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from stereo_ore.bench import stereo, stereo_sets
 from stereo_ore.cli import launch
 from stereo_ore.errors import SourceError
+from stereo_ore.lab.bench import stereo, stereo_sets
 from stereo_ore.types import RectifiedPair, Region
 
 

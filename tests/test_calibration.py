@@ -12,12 +12,12 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from rigs import SIZE, example_rig, raw_rigs, rectified_rig, same
 
-from stereo_ore.calibration import check_image_size, dump, load, save
-from stereo_ore.calibration.convert import convert_zed
-from stereo_ore.calibration.geometry import rotation_matrix, rotation_vector
-from stereo_ore.calibration.show import describe, draw, field_of_view
+from stereo_ore.calibrate.convert import convert_zed
+from stereo_ore.calibrate.show import describe, draw, field_of_view
 from stereo_ore.errors import CalibrationError
-from stereo_ore.rectify import make_rectifier
+from stereo_ore.io.calibration import check_image_size, dump, load, save
+from stereo_ore.io.calibration.geometry import rotation_matrix, rotation_vector
+from stereo_ore.stages.rectify import make_rectifier
 
 CALIB = Path(__file__).parents[1] / "calib"
 EXAMPLES = {

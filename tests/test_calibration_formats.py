@@ -11,9 +11,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rigs import SIZE, example_rig, raw_rigs, same, write_kalibr, write_opencv, write_ros, write_zed
 
-from stereo_ore.calibration import FORMATS, load, save
 from stereo_ore.errors import CalibrationError
-from stereo_ore.rectify import make_rectifier
+from stereo_ore.io.calibration import FORMATS, load, save
+from stereo_ore.stages.rectify import make_rectifier
 
 MANY = settings(deadline=None, max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 

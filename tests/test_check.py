@@ -10,8 +10,7 @@ import pytest
 import yaml
 from rigs import example_rig, rectified_rig, rectified_to_raw, with_rotation
 
-from stereo_ore.calibration import save
-from stereo_ore.calibration.check import (
+from stereo_ore.calibrate.check import (
     CheckResult,
     Known,
     Matches,
@@ -21,12 +20,13 @@ from stereo_ore.calibration.check import (
     offset_findings,
     patch_disparity,
 )
-from stereo_ore.calibration.check_report import draw, report
-from stereo_ore.calibration.geometry import make_calibration, rotation_vector
-from stereo_ore.calibration.points import rectify_points, triangulate
-from stereo_ore.calibration.residual import RowResidual, match_features, residual_of_matches, vertical_residual
+from stereo_ore.calibrate.check_report import draw, report
+from stereo_ore.calibrate.points import rectify_points, triangulate
+from stereo_ore.calibrate.residual import RowResidual, match_features, residual_of_matches, vertical_residual
 from stereo_ore.errors import CalibrationError
-from stereo_ore.rectify import make_rectifier, rectify
+from stereo_ore.io.calibration import save
+from stereo_ore.io.calibration.geometry import make_calibration, rotation_vector
+from stereo_ore.stages.rectify import make_rectifier, rectify
 from stereo_ore.types import CameraModel, StereoCalibration, StereoPair
 
 TRUTH = example_rig()
@@ -123,7 +123,7 @@ def raw_scene(shared_data: Path) -> tuple[StereoPair, StereoCalibration]:
         images="raw",
     )
     left, right = (cv2.imread(str(folder / f"{side}.png")) for side in ("left", "right"))
-    return StereoPair("raw", 0, left, right), calibration
+    return StereoPair(left, right, name="raw", index=0), calibration
 
 
 @pytest.fixture(scope="module")
@@ -184,11 +184,11 @@ def test_swapped_rectified_eyes_lie_behind_the_camera(flat_plane_pair) -> None:
     eye = CameraModel((pair.rig.fx, pair.rig.fy), (pair.rig.cx, pair.rig.cy))
     size, shift = (pair.rig.width, pair.rig.height), (-pair.rig.baseline_m, 0, 0)
     rig = make_calibration("x", image_size=size, left=eye, right=eye, translation_m=shift, images="rectified")
-    assert check_pair(StereoPair("x", 0, pair.left, pair.right), rig).verdict == "good"
-    swapped = check_pair(StereoPair("x", 0, pair.right, pair.left), rig)
+    assert check_pair(StereoPair(pair.left, pair.right, name="x", index=0), rig).verdict == "good"
+    swapped = check_pair(StereoPair(pair.right, pair.left, name="x", index=0), rig)
     assert [finding.code for finding in swapped.findings if finding.code == "SWAPPED_EYES"]
     with pytest.raises(CalibrationError, match="320"):
-        check_pair(StereoPair("x", 0, pair.left[:-1], pair.right[:-1]), rig)
+        check_pair(StereoPair(pair.left[:-1], pair.right[:-1], name="x", index=0), rig)
 
 
 @pytest.fixture
@@ -202,7 +202,7 @@ def plane_rig(flat_plane_pair) -> tuple[StereoPair, StereoCalibration, list[Know
     for u, v in ((60, 30), (240, 160), (440, 290)):
         at = pair.rig.back_project(u, v, flat_plane_pair.depth[v, u])
         known.append(Known(u, v, float(np.linalg.norm(at))))
-    return StereoPair("x", 0, pair.left, pair.right), rig, known
+    return StereoPair(pair.left, pair.right, name="x", index=0), rig, known
 
 
 def test_known_distances_confirm_a_right_calibration(plane_rig) -> None:
@@ -247,7 +247,7 @@ def test_a_point_without_texture_or_on_a_pattern_is_refused() -> None:
 
 def test_an_image_without_features_is_unclear() -> None:
     grey = np.full((720, 1280, 3), 90, np.uint8)
-    result = check_pair(StereoPair("dark", 0, grey, grey), rectified_rig())
+    result = check_pair(StereoPair(grey, grey, name="dark", index=0), rectified_rig())
     assert (result.verdict, [finding.code for finding in result.findings]) == ("unclear", ["FEW_MATCHES"])
     assert "verdict: unclear" in report(result)
 

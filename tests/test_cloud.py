@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stereo_ore.cloud import reproject, surface
 from stereo_ore.config import CloudConfig
+from stereo_ore.stages.cloud import reproject, surface
 from stereo_ore.types import Disparity, RectifiedPair, Region, Rig, Volume
 
 SIGMA = 0.2

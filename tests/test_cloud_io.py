@@ -11,23 +11,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stereo_ore import cloud_io
 from stereo_ore.errors import CloudError, OutputError
+from stereo_ore.io import clouds
 
 
-def records(points: int = 7) -> cloud_io.Records:
+def records(points: int = 7) -> clouds.Records:
     rng = np.random.default_rng(0)
     colours = {name: rng.integers(0, 256, points, np.uint8) for name in ("red", "green", "blue")}
     normals = {name: rng.normal(size=points).astype(np.float32) for name in ("nx", "ny", "nz")}
-    return cloud_io.from_columns({axis: rng.normal(size=points) for axis in "xyz"} | normals | colours)
+    return clouds.from_columns({axis: rng.normal(size=points) for axis in "xyz"} | normals | colours)
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".pcd", ".csv", ".npy", ".npz"])
 @pytest.mark.parametrize("points", [0, 1, 7])
 def test_there_and_back_keeps_every_column(suffix: str, points: int, tmp_path: Path) -> None:
     path, wanted = tmp_path / f"cloud{suffix}", records(points)
-    cloud_io.write(path, wanted)
-    got = cloud_io.read(path)
+    clouds.write(path, wanted)
+    got = clouds.read(path)
     assert got.dtype.names == wanted.dtype.names
     for name in wanted.dtype.names or ():
         np.testing.assert_array_equal(got[name].astype(wanted.dtype[name]), wanted[name])
@@ -37,10 +37,10 @@ def test_there_and_back_keeps_every_column(suffix: str, points: int, tmp_path: P
 @pytest.mark.parametrize("suffix", [".xyz", ".txt"])
 def test_text_without_names_keeps_the_columns_in_order(suffix: str, tmp_path: Path) -> None:
     path, wanted = tmp_path / f"cloud{suffix}", records()
-    cloud_io.write(path, wanted)
-    got = cloud_io.read(path)
+    clouds.write(path, wanted)
+    got = clouds.read(path)
     assert got.dtype.names[:4] == ("x", "y", "z", "column_3")
-    np.testing.assert_allclose(cloud_io.xyz(got), cloud_io.xyz(wanted))
+    np.testing.assert_allclose(clouds.xyz(got), clouds.xyz(wanted))
 
 
 @given(st.lists(st.tuples(*[st.floats(width=32, allow_nan=True)] * 3), max_size=20))
@@ -48,15 +48,15 @@ def test_text_without_names_keeps_the_columns_in_order(suffix: str, tmp_path: Pa
 def test_any_floats_survive_ply(tmp_path_factory: pytest.TempPathFactory, rows: list) -> None:
     path = tmp_path_factory.mktemp("ply") / "cloud.ply"
     values = np.array(rows, np.float32).reshape(-1, 3)
-    cloud_io.write(path, cloud_io.from_array(values, path))
-    np.testing.assert_array_equal(cloud_io.xyz(cloud_io.read(path)), values)
+    clouds.write(path, clouds.from_array(values, path))
+    np.testing.assert_array_equal(clouds.xyz(clouds.read(path)), values)
 
 
 def test_real_files(shared_data: Path) -> None:
-    stone = cloud_io.read(shared_data / "stones" / "low_res_E34.ply")
+    stone = clouds.read(shared_data / "stones" / "low_res_E34.ply")
     assert {"red", "nx"} <= set(stone.dtype.names)
-    assert np.ptp(cloud_io.xyz(stone)[:, 0]) > 100
-    assert len(cloud_io.read(shared_data / "stones" / "Otira_1cm_grains.ply")) == 100_769
+    assert np.ptp(clouds.xyz(stone)[:, 0]) > 100
+    assert len(clouds.read(shared_data / "stones" / "Otira_1cm_grains.ply")) == 100_769
 
 
 @pytest.mark.parametrize(
@@ -67,7 +67,7 @@ def test_real_files(shared_data: Path) -> None:
 def test_text_layouts(text: str, tmp_path: Path) -> None:
     path = tmp_path / "cloud.csv"
     path.write_text(text, encoding="utf-8")
-    np.testing.assert_array_equal(cloud_io.xyz(cloud_io.read(path)), [[1, 2, 3], [4, 5, 6]])
+    np.testing.assert_array_equal(clouds.xyz(clouds.read(path)), [[1, 2, 3], [4, 5, 6]])
 
 
 def test_ascii_and_big_endian_ply_with_an_element_before_the_vertices(tmp_path: Path) -> None:
@@ -76,11 +76,11 @@ def test_ascii_and_big_endian_ply_with_an_element_before_the_vertices(tmp_path: 
     head += "property float x\nproperty float y\nproperty float z\nproperty uchar red\n"
     head += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
     path.write_text(head.format("ascii") + "9\n1 2 3 255\n4 5 6 0\n3 0 1 1\n")
-    ascii_ = cloud_io.read(path)
+    ascii_ = clouds.read(path)
     body = struct.pack(">f", 9) + struct.pack(">fffB", 1, 2, 3, 255) + struct.pack(">fffB", 4, 5, 6, 0)
     path.write_bytes(head.format("binary_big_endian").encode() + body)
-    for got in (ascii_, cloud_io.read(path)):
-        np.testing.assert_array_equal(cloud_io.xyz(got), [[1, 2, 3], [4, 5, 6]])
+    for got in (ascii_, clouds.read(path)):
+        np.testing.assert_array_equal(clouds.xyz(got), [[1, 2, 3], [4, 5, 6]])
         np.testing.assert_array_equal(got["red"], [255, 0])
 
 
@@ -90,8 +90,8 @@ def test_pcd_with_padding_and_vectors(tmp_path: Path) -> None:
         "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z _ h\nSIZE 4 4 4 1 4\nTYPE F F F U F\nCOUNT 1 1 1 1 2\n"
         "WIDTH 2\nHEIGHT 1\nPOINTS 2\nDATA ascii\n1 2 3 0 7 8\n4 5 6 0 9 10\n"
     )
-    got = cloud_io.read(path)
-    np.testing.assert_array_equal(cloud_io.xyz(got), [[1, 2, 3], [4, 5, 6]])
+    got = clouds.read(path)
+    np.testing.assert_array_equal(clouds.xyz(got), [[1, 2, 3], [4, 5, 6]])
     np.testing.assert_array_equal(got["h_1"], [8, 10])
 
 
@@ -149,7 +149,7 @@ def test_damaged_files_are_clear_errors_and_cost_no_memory(name: str, tmp_path: 
     tracemalloc.start()
     try:
         with pytest.raises(CloudError, match=words) as fault:
-            cloud_io.read(path)
+            clouds.read(path)
         assert tracemalloc.get_traced_memory()[1] < 20_000_000
     finally:
         tracemalloc.stop()
@@ -157,11 +157,11 @@ def test_damaged_files_are_clear_errors_and_cost_no_memory(name: str, tmp_path: 
 
 
 def test_npz_that_unpacks_to_more_than_allowed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("stereo_ore.npz_io.MAX_UNPACKED_BYTES", 1000)
+    monkeypatch.setattr("stereo_ore.io.npz_io.MAX_UNPACKED_BYTES", 1000)
     path = tmp_path / "bomb.npz"
     np.savez_compressed(path, xyz=np.zeros((1000, 3)))
     with pytest.raises(CloudError, match="claims arrays"):
-        cloud_io.read(path)
+        clouds.read(path)
 
 
 @pytest.mark.parametrize(
@@ -172,7 +172,7 @@ def test_npz_without_coordinates(arrays: dict, tmp_path: Path) -> None:
     path = tmp_path / "cloud.npz"
     np.savez(path, **arrays)
     with pytest.raises(CloudError):
-        cloud_io.read(path)
+        clouds.read(path)
 
 
 def test_npz_with_a_broken_member(tmp_path: Path) -> None:
@@ -180,18 +180,18 @@ def test_npz_with_a_broken_member(tmp_path: Path) -> None:
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("xyz.npy", npy((10**10, 3)))
     with pytest.raises(CloudError, match="claims"):
-        cloud_io.read(path)
+        clouds.read(path)
 
 
 def test_voxels_of_a_run_can_be_read(tmp_path: Path) -> None:
     path = tmp_path / "stages.npz"
     np.savez(path, voxel_xyz=np.ones((4, 3), np.float32), keep=np.ones(4, bool), disparity=np.zeros((5, 6)))
-    assert cloud_io.read(path).dtype.names == ("x", "y", "z", "keep")
+    assert clouds.read(path).dtype.names == ("x", "y", "z", "keep")
 
 
 def test_missing_file_and_unwritable_place(tmp_path: Path) -> None:
     with pytest.raises(CloudError, match="no such file"):
-        cloud_io.read(tmp_path / "none.ply")
+        clouds.read(tmp_path / "none.ply")
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="can't be written"):
-        cloud_io.write(tmp_path / "file" / "cloud.ply", records())
+        clouds.write(tmp_path / "file" / "cloud.ply", records())

@@ -16,11 +16,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from runs import quarter_scene
 
-from stereo_ore import batch, calibration, cluster, pipeline, sources
+from stereo_ore import pipeline
 from stereo_ore.config import Config
 from stereo_ore.errors import ClusterError, FrameError, MissingExtraError, OutputError, StereoOreError
-from stereo_ore.sinks.frame_files import FrameFiles
-from stereo_ore.site import load_site
+from stereo_ore.io import calibration, recordings
+from stereo_ore.io.site import load_site
+from stereo_ore.runs import batch, cluster
+from stereo_ore.runs.frame_files import FrameFiles
 
 pytest.importorskip("distributed", reason="the extra [cluster] is not installed")
 
@@ -86,7 +88,7 @@ def make_job(scene: Path, recording: Path, out: Path) -> batch.Job:
     context = pipeline.make_context(
         calibration.load(scene / "calibration.yaml"), load_site(scene / "site.yaml"), Config()
     )
-    return batch.Job(sources.open_source(recording), context, FrameFiles(out))
+    return batch.Job(recordings.open_source(recording), context, FrameFiles(out))
 
 
 def contents(folder: Path) -> dict[str, bytes]:

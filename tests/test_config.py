@@ -3,8 +3,9 @@
 from pathlib import Path
 
 import pytest
+from stereo_ore.io.parameters import dump_config, load_config
 
-from stereo_ore.config import Config, dump_config, load_config
+from stereo_ore.config import Config
 from stereo_ore.errors import ConfigError
 
 

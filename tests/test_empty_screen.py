@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import yaml
 
-from stereo_ore import synth
 from stereo_ore.cli import launch
-from stereo_ore.matching import background
+from stereo_ore.lab import synth
+from stereo_ore.stages.matching import background
 
 
 def call(*arguments: object) -> int:

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stereo_ore import cli, evaluate, synth
+from stereo_ore import cli
 from stereo_ore.errors import SourceError
+from stereo_ore.lab import evaluate, synth
 
 Edit = Callable[[dict[str, Any], dict[str, np.ndarray]], None]
 

@@ -5,11 +5,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from stereo_ore.io.parameters import load_config
 
 from stereo_ore import pipeline
-from stereo_ore.calibration import load
-from stereo_ore.config import load_config
-from stereo_ore.site import load_site
+from stereo_ore.io.calibration import load
+from stereo_ore.io.site import load_site
 from stereo_ore.types import U8, StereoPair
 
 DATA = Path(__file__).parents[1] / "data"
@@ -38,7 +38,7 @@ def right() -> U8:
 
 
 def test_the_pair_as_recorded_gives_targets(context: pipeline.Context, left: U8, right: U8) -> None:
-    result = pipeline.process(StereoPair("0", 0, left, right), context)
+    result = pipeline.process(StereoPair(left, right, name="0", index=0), context)
     assert result.status == "ok"
     assert result.targets
 
@@ -53,7 +53,7 @@ def test_eyes_that_disagree_are_degraded(fault: str, context: pipeline.Context, 
         "rows apart": (left, np.roll(right, 8, axis=0)),
         "same eye": (left, left),
     }
-    result = pipeline.process(StereoPair("0", 0, *map(np.ascontiguousarray, eyes[fault])), context)
+    result = pipeline.process(StereoPair(*map(np.ascontiguousarray, eyes[fault]), name="0", index=0), context)
     assert result.status == "degraded"
     assert "EYES_DISAGREE" in [reason.code for reason in result.reasons]
     assert result.targets == ()
@@ -63,7 +63,7 @@ def test_eyes_that_disagree_are_degraded(fault: str, context: pipeline.Context, 
 @pytest.mark.parametrize("covered", ["left", "right"])
 def test_a_covered_eye_fails(covered: str, context: pipeline.Context, left: U8, right: U8) -> None:
     eyes = {"left": left, "right": right, covered: np.zeros_like(left)}
-    result = pipeline.process(StereoPair("0", 0, eyes["left"], eyes["right"]), context)
+    result = pipeline.process(StereoPair(eyes["left"], eyes["right"], name="0", index=0), context)
     assert result.status == "failed"
     assert result.targets == ()
     codes = [reason.code for reason in result.reasons]
@@ -85,7 +85,7 @@ def test_a_calibration_that_is_off_by_little_is_told(
 ) -> None:
     """About a quarter of a pixel: the matcher follows it, and the screen stays where it is."""
     wrong = turned(right, context.rectifier.rig.fx, tuple(a / 1000 for a in angles_mrad))
-    result = pipeline.process(StereoPair("0", 0, left, wrong), context)
+    result = pipeline.process(StereoPair(left, wrong, name="0", index=0), context)
     assert "ROWS_DISAGREE" in [reason.code for reason in result.reasons]
     assert result.targets == ()
 
@@ -93,6 +93,6 @@ def test_a_calibration_that_is_off_by_little_is_told(
 @pytest.mark.parametrize("rows", [-9, -4, 2, 6])
 def test_rows_far_apart_are_told(rows: int, context: pipeline.Context, left: U8, right: U8) -> None:
     """Bars along the columns match under any shift of rows."""
-    result = pipeline.process(StereoPair("0", 0, left, np.roll(right, rows, axis=0)), context)
+    result = pipeline.process(StereoPair(left, np.roll(right, rows, axis=0), name="0", index=0), context)
     assert "ROWS_DISAGREE" in [reason.code for reason in result.reasons]
     assert result.targets == ()

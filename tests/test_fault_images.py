@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from runs import ROOT, smaller_scene
 
-from stereo_ore.sinks.message import Origin, message
+from stereo_ore.plant.sinks.message import Origin, message
 from stereo_ore.types import U8
 
 Eyes = tuple[U8, U8]

@@ -14,7 +14,7 @@ import pytest
 import yaml
 from runs import quarter_scene
 
-from stereo_ore.sinks.message import Origin, message
+from stereo_ore.plant.sinks.message import Origin, message
 
 Document = dict[str, Any]
 Change = Callable[[Document], None]

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from stereo_ore import cloud_io, synth
 from stereo_ore.cli import app, load_verbs
 from stereo_ore.errors import StereoOreError
+from stereo_ore.io import clouds
+from stereo_ore.lab import synth
 
 
 @pytest.fixture(scope="module")
@@ -16,7 +17,7 @@ def noisy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     xyz, noise = synth.paper_cloud(3)
     columns = {axis: xyz[:, i] for i, axis in enumerate("xyz")} | {"red": noise.astype(np.uint8)}
     path = tmp_path_factory.mktemp("clouds") / "noisy.ply"
-    cloud_io.write(path, cloud_io.from_columns(columns))
+    clouds.write(path, clouds.from_columns(columns))
     return path
 
 
@@ -32,7 +33,7 @@ def test_keeps_columns_and_splits_the_cloud_in_two(noisy: Path, tmp_path: Path) 
     pytest.importorskip("matplotlib")
     out, noise, scores, picture = (tmp_path / name for name in ("out.pcd", "noise.csv", "scores.npz", "factors.png"))
     command(noisy, out, "--keep-noise", noise, "--scores", scores, "--picture", picture)
-    kept, removed = cloud_io.read(out), cloud_io.read(noise)
+    kept, removed = clouds.read(out), clouds.read(noise)
     assert len(kept) + len(removed) == 18_809
     assert kept["red"].mean() < 0.03 < 0.9 < removed["red"].mean()
     with np.load(scores) as arrays:
@@ -43,26 +44,26 @@ def test_keeps_columns_and_splits_the_cloud_in_two(noisy: Path, tmp_path: Path) 
 
 
 def test_millimetres_are_asked_for_and_then_right(noisy: Path, tmp_path: Path) -> None:
-    xyz = cloud_io.xyz(cloud_io.read(noisy))
+    xyz = clouds.xyz(clouds.read(noisy))
     path = tmp_path / "mm.xyz"
-    cloud_io.write(path, cloud_io.from_array(xyz * 1000, path))
+    clouds.write(path, clouds.from_array(xyz * 1000, path))
     with pytest.raises(StereoOreError, match=r"are they millimetres.*--unit mm"):
         command(path, tmp_path / "out.ply")
     radius = ("--method", "radius", "--set", "radius_m=0.012", "--set", "n=4")
     command(path, tmp_path / "mm.ply", "--unit", "mm", *radius)
     command(noisy, tmp_path / "m.ply", *radius)
-    in_mm, in_m = (cloud_io.xyz(cloud_io.read(tmp_path / name)) for name in ("mm.ply", "m.ply"))
+    in_mm, in_m = (clouds.xyz(clouds.read(tmp_path / name)) for name in ("mm.ply", "m.ply"))
     assert 0 < abs(len(in_mm)) < 18_809
     assert abs(len(in_mm) - len(in_m)) <= 3
     assert np.ptp(in_mm[:, 0]) > 500
 
 
 def test_far_origin_costs_nothing(noisy: Path, tmp_path: Path) -> None:
-    xyz = cloud_io.xyz(cloud_io.read(noisy))[:5000]
+    xyz = clouds.xyz(clouds.read(noisy))[:5000]
     for name, shift in (("near.npy", 0.0), ("far.npy", 4.0e6)):
-        cloud_io.write(tmp_path / name, cloud_io.from_array(xyz + shift, tmp_path / name))
+        clouds.write(tmp_path / name, clouds.from_array(xyz + shift, tmp_path / name))
         command(tmp_path / name, tmp_path / f"out-{name}", "--unit", "m")
-    near, far = (cloud_io.read(tmp_path / f"out-{name}") for name in ("near.npy", "far.npy"))
+    near, far = (clouds.read(tmp_path / f"out-{name}") for name in ("near.npy", "far.npy"))
     assert abs(len(near) - len(far)) <= 5
 
 
@@ -86,7 +87,7 @@ def test_empty_cloud(tmp_path: Path) -> None:
     path = tmp_path / "empty.npy"
     np.save(path, np.zeros((0, 3)))
     command(path, tmp_path / "out.npy")
-    assert len(cloud_io.read(tmp_path / "out.npy")) == 0
+    assert len(clouds.read(tmp_path / "out.npy")) == 0
 
 
 def test_the_input_is_not_replaced(noisy: Path) -> None:

@@ -10,11 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stereo_ore import filters, synth
-from stereo_ore.bench.labelled import bare_cloud
 from stereo_ore.config import FilterConfig
 from stereo_ore.errors import ConfigError
-from stereo_ore.filters.neighbours import nearest
+from stereo_ore.lab import synth
+from stereo_ore.lab.bench.labelled import bare_cloud
+from stereo_ore.stages import filters
+from stereo_ore.stages.filters.neighbours import nearest
 from stereo_ore.types import FilterResult
 
 METHODS = sorted(filters.METHODS)
@@ -159,7 +160,7 @@ def test_same_bytes_for_any_number_of_threads() -> None:
         "import hashlib, os, numpy as np\n"
         "os.cpu_count = lambda: int(os.environ['THREADS'])\n"
         "from stereo_ore import filters\n"
-        "from stereo_ore.bench.labelled import bare_cloud\n"
+        "from stereo_ore.lab.bench.labelled import bare_cloud\n"
         "from stereo_ore.config import FilterConfig\n"
         "x = np.random.default_rng(0).normal(size=(20000, 3)) * [1, 1, 0.02]\n"
         "r = [filters.apply(bare_cloud(x), FilterConfig(method=m)).score.tobytes() for m in ('adaptive', 'paper')]\n"

@@ -5,20 +5,20 @@ import dataclasses
 import numpy as np
 import pytest
 
-from stereo_ore import filters
-from stereo_ore.bench import filters as bench
-from stereo_ore.bench.baselines import CONTENDERS
-from stereo_ore.bench.labelled import LabelledCloud, bare_cloud, paper_clouds, scene_stereo
 from stereo_ore.config import FilterConfig
-from stereo_ore.filters.adaptive import run_passes
-from stereo_ore.filters.evidence import DENSITY_FEATURES, gather
-from stereo_ore.filters.scorer import Scorer, load
-from stereo_ore.filters.stereo import SURE, has_cues, image_space
-from stereo_ore.filters.stereo import gather as gather_stereo
-from stereo_ore.filters.surface import eigen, fit_planes
-from stereo_ore.metrics import filter_quality
+from stereo_ore.lab.bench import filters as bench
+from stereo_ore.lab.bench.baselines import CONTENDERS
+from stereo_ore.lab.bench.labelled import LabelledCloud, bare_cloud, paper_clouds, scene_stereo
+from stereo_ore.lab.metrics import filter_quality
+from stereo_ore.lab.synth import paper_cloud
 from stereo_ore.network import Network
-from stereo_ore.synth import paper_cloud
+from stereo_ore.stages import filters
+from stereo_ore.stages.filters.adaptive import run_passes
+from stereo_ore.stages.filters.evidence import DENSITY_FEATURES, gather
+from stereo_ore.stages.filters.scorer import Scorer, load
+from stereo_ore.stages.filters.stereo import SURE, has_cues, image_space
+from stereo_ore.stages.filters.stereo import gather as gather_stereo
+from stereo_ore.stages.filters.surface import eigen, fit_planes
 
 
 @pytest.fixture(scope="module")
@@ -82,10 +82,10 @@ def test_noise_along_the_normal_at_the_papers_share(protocol: list[LabelledCloud
 
 
 def test_real_noise_free_surfaces_are_kept(shared_data) -> None:  # type: ignore[no-untyped-def]
-    from stereo_ore import cloud_io
+    from stereo_ore.io import clouds
 
-    records = cloud_io.read(shared_data / "stones" / "A46_point_cloud.ply")[::5]
-    xyz = cloud_io.xyz(records)
+    records = clouds.read(shared_data / "stones" / "A46_point_cloud.ply")[::5]
+    xyz = clouds.xyz(records)
     keep = filters.apply(bare_cloud(xyz - xyz.mean(0)), FilterConfig()).keep
     assert keep.mean() > 0.95
 

@@ -5,12 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from stereo_ore import filters, synth
-from stereo_ore.bench.labelled import bare_cloud
 from stereo_ore.config import FilterConfig
 from stereo_ore.config.filters import PaperParams
-from stereo_ore.filters.paper import quantities, two_clusters
-from stereo_ore.metrics import filter_quality
+from stereo_ore.lab import synth
+from stereo_ore.lab.bench.labelled import bare_cloud
+from stereo_ore.lab.metrics import filter_quality
+from stereo_ore.stages import filters
+from stereo_ore.stages.filters.paper import quantities, two_clusters
 
 
 def cloud(points: int = 90) -> np.ndarray:

@@ -7,9 +7,10 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from screens import DISTANCE, OPENING, PITCH, RIG, WIDTH, Screen, draw
 
-from stereo_ore import grizzly, synth
 from stereo_ore.config import GrizzlyConfig
 from stereo_ore.errors import FrameError
+from stereo_ore.lab import synth
+from stereo_ore.stages import grizzly
 from stereo_ore.types import Grizzly, Plane, Rig, Site, Surface, Volume
 
 CONFIG = GrizzlyConfig()

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from rigs import SIZE, example_rig, rectified_to_raw, rendered_pair, small_rig
 
-from stereo_ore.calibration import save
-from stereo_ore.calibration.detect import Board, Corners
-from stereo_ore.calibration.hand_eye import ArmView, Mount, fit_hand_eye
-from stereo_ore.calibration.pose import fit_rigid, from_vector, to_vector
-from stereo_ore.calibration.tables import POINT_COLUMNS, read_poses, read_touched
-from stereo_ore.calibration.touched import HandEyeResult, Touched, fit_touched
+from stereo_ore.calibrate.detect import Board, Corners
+from stereo_ore.calibrate.hand_eye import ArmView, Mount, fit_hand_eye
+from stereo_ore.calibrate.pose import fit_rigid, from_vector, to_vector
+from stereo_ore.calibrate.tables import POINT_COLUMNS, read_poses, read_touched
+from stereo_ore.calibrate.touched import HandEyeResult, Touched, fit_touched
 from stereo_ore.errors import CalibrationError
-from stereo_ore.site import load_site
+from stereo_ore.io.calibration import save
+from stereo_ore.io.site import load_site
 from stereo_ore.transforms import apply, inverse, nearest_rotation
 from stereo_ore.types import F64
 
@@ -158,7 +158,7 @@ def test_few_poses_and_turns_about_one_axis_are_refused() -> None:
 def test_opencv_agrees_where_it_has_the_methods() -> None:
     if not hasattr(cv2, "calibrateHandEye"):
         pytest.skip("the Python of this OpenCV has no calibrateHandEye")
-    from stereo_ore.calibration import hand_eye
+    from stereo_ore.calibrate import hand_eye
 
     seen = [hand_eye._Seen(inverse(v.T_arm_tool), T) for v, T in zip(*views_and_boards(), strict=True)]
     for method in hand_eye.METHODS:

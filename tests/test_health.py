@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from screens import DISTANCE, Screen, draw
 
 from stereo_ore.config import GrizzlyConfig, HealthConfig
-from stereo_ore.health import eye_doubts, rows, screen_doubts
-from stereo_ore.health.history import Watch
-from stereo_ore.sinks.run_folder import FrameLines
+from stereo_ore.runs.folder import FrameLines
+from stereo_ore.runs.history import Watch
+from stereo_ore.stages.health import eye_doubts, rows, screen_doubts
 from stereo_ore.types import Disparity, Plane, RectifiedPair, Region
 
 CONFIG, GRIZZLY = HealthConfig(), GrizzlyConfig()

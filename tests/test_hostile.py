@@ -21,9 +21,9 @@ from runs import make_run, ore, quarter_scene, record
 from test_report import Page
 
 from stereo_ore.cli import launch
-from stereo_ore.results import Results
-from stereo_ore.serve.frames import Position
-from stereo_ore.serve.watch import FolderWatch
+from stereo_ore.io.results import Results
+from stereo_ore.plant.frames import Position
+from stereo_ore.plant.watch import FolderWatch
 
 MEGABYTE = 2**20
 GOOD = "000000"

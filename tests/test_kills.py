@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from runs import quarter_scene
 
-from stereo_ore import cloud_io
+from stereo_ore.io import clouds
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="SIGKILL is POSIX")
 
@@ -72,7 +72,7 @@ def check_end(out: Path, reference: dict[str, bytes]) -> None:
     assert [file for file in out.rglob("*") if file.name.endswith(GROWING)] == []
     for name in found:
         if name.endswith(".ply"):
-            assert len(cloud_io.read(out / name))
+            assert len(clouds.read(out / name))
 
 
 def start(command: list[str]) -> subprocess.Popen[bytes]:
@@ -153,8 +153,8 @@ def test_killed_before_each_operation_on_a_file_it_loses_no_frame(begin: str, tm
 
 def write_run(folder: Path, resume: bool, frames: int = FRAMES, finish: bool = True) -> int:
     """Write a run's folder as `run` does; the number of frames that were done before."""
-    from stereo_ore.sinks.atomic import write_bytes
-    from stereo_ore.sinks.run_folder import FrameLines, RunFolder
+    from stereo_ore.io.atomic import write_bytes
+    from stereo_ore.runs.folder import FrameLines, RunFolder
 
     with RunFolder(folder, {"source": "here"}, resume=resume, overwrite=False) as run:
         for index in range(run.done, frames):

@@ -19,9 +19,9 @@ import pytest
 from live import ListSink, make_record, wait_for
 
 from stereo_ore.errors import OutputError
-from stereo_ore.serve.page import LivePage
-from stereo_ore.serve.publisher import Publisher
-from stereo_ore.serve.status import Status
+from stereo_ore.plant.page import LivePage
+from stereo_ore.plant.publisher import Publisher
+from stereo_ore.plant.status import Status
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 
@@ -133,7 +133,7 @@ def test_a_port_in_use_is_an_error(live):
 
 
 def test_the_page_loads_nothing_from_elsewhere():
-    page = (files("stereo_ore.serve") / "page.html").read_text()
+    page = (files("stereo_ore.plant") / "page.html").read_text()
     assert not re.search(r"https?://|//cdn|@import", page)
     assert "innerHTML" not in page
 

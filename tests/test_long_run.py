@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from live import free_port, running, wait_for
 
-from stereo_ore.serve.frames import LiveFrame, Position
+from stereo_ore.plant.frames import LiveFrame, Position
 
 FRAMES, RATE_HZ, VALID_FOR_S = 20_000, 100, 5.0
 WARM = 2_000
@@ -76,8 +76,8 @@ def quarters(values: Any) -> list[float]:
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="needs /proc")
 def test_20_000_frames_at_100_a_second(tmp_path: Path) -> None:
     pytest.importorskip("asyncua", reason="asyncua is not installed")
-    from stereo_ore.sinks.opcua import OpcUaSink
-    from stereo_ore.sinks.tcp import TcpSink
+    from stereo_ore.plant.sinks.opcua import OpcUaSink
+    from stereo_ore.plant.sinks.tcp import TcpSink
 
     opcua, tcp = OpcUaSink("127.0.0.1", free_port()), TcpSink("127.0.0.1", 0)
     rows = np.full((FRAMES, 5), -1, np.int64)  # all of it at once: a list that grows would look like a leak
@@ -149,7 +149,7 @@ def client(url: str) -> None:
     """Sequence and latency [ms] of every change of `Sequence`, until terminated."""
     from asyncua.sync import Client
 
-    from stereo_ore.sinks.opcua_model import NAMESPACE
+    from stereo_ore.plant.sinks.opcua_model import NAMESPACE
 
     class Handler:
         def datachange_notification(self, node: Any, value: Any, data: Any) -> None:

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stereo_ore import matching
 from stereo_ore.config import MatchingConfig
 from stereo_ore.errors import ConfigError
+from stereo_ore.stages import matching
 from stereo_ore.types import CUES, RectifiedPair, Region, Rig, Volume
 
 CONFIG = MatchingConfig()

@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 import pytest
 
-from stereo_ore import matching
 from stereo_ore.config import MatchingConfig
 from stereo_ore.errors import ConfigError, FrameError
-from stereo_ore.matching import background
+from stereo_ore.stages import matching
+from stereo_ore.stages.matching import background
 from stereo_ore.types import Background, Disparity, RectifiedPair, Region
 
 FRAMES = 8

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stereo_ore.matching import relief
+from stereo_ore.stages.matching import relief
 from stereo_ore.types import RELIEF_CUES, RELIEF_WINDOWS_PX
 
 SHAPE = (160, 200)

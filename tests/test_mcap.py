@@ -11,13 +11,13 @@ import pytest
 from runs import PERIOD, STAMP, cloud, make_run, ore, record
 
 from stereo_ore.errors import OutputError, SourceError
-from stereo_ore.results import Results
+from stereo_ore.io.results import Results
 
 pytest.importorskip("rosbags", reason="the extra [bags] is not installed")
 
 from rosbags.highlevel import AnyReader
 
-from stereo_ore.sinks.mcap import write_mcap
+from stereo_ore.export.mcap import write_mcap
 
 SCHEMAS = {
     "/tf_static": "tf2_msgs/msg/TFMessage",

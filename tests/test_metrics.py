@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from stereo_ore import metrics
+from stereo_ore.lab import metrics
 
 MASKS = st.integers(1, 40).flatmap(lambda n: st.tuples(arrays.arrays(bool, n), arrays.arrays(bool, n)))
 

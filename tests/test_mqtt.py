@@ -20,8 +20,8 @@ from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 
 from stereo_ore.errors import OutputError
-from stereo_ore.sinks import mqtt
-from stereo_ore.sinks.mqtt import MqttLogin, MqttSink
+from stereo_ore.plant.sinks import mqtt
+from stereo_ore.plant.sinks.mqtt import MqttLogin, MqttSink
 
 MOSQUITTO = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin")
 TOPIC = "site/targets"

@@ -25,10 +25,10 @@ from asyncua import ua
 from asyncua.sync import Client
 
 from stereo_ore.errors import OutputError
-from stereo_ore.sinks import opcua
-from stereo_ore.sinks.message import Origin, notice
-from stereo_ore.sinks.opcua import OpcUaSecurity, OpcUaSink
-from stereo_ore.sinks.opcua_model import NAMESPACE, PAYLOAD, SLOTS
+from stereo_ore.plant.sinks import opcua
+from stereo_ore.plant.sinks.message import Origin, notice
+from stereo_ore.plant.sinks.opcua import OpcUaSecurity, OpcUaSink
+from stereo_ore.plant.sinks.opcua_model import NAMESPACE, PAYLOAD, SLOTS
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:asyncua")
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stereo_ore.config.models import OrderConfig
-from stereo_ore.order import order
+from stereo_ore.stages.order import order
 from stereo_ore.types import Plane, Reason, Site, Solid, Strike, StrikePlan
 
 CONFIG = OrderConfig()

@@ -10,8 +10,8 @@ import pytest
 from runs import STAMP, make_run, ore, record
 
 from stereo_ore.errors import OutputError, SourceError
-from stereo_ore.results import Results
-from stereo_ore.sinks.ore_table import FIELDS
+from stereo_ore.io.ore_table import FIELDS
+from stereo_ore.io.results import Results
 
 pytest.importorskip("pyarrow", reason="the extra [parquet] is not installed")
 pytest.importorskip("duckdb", reason="duckdb is not installed")
@@ -20,7 +20,7 @@ import duckdb
 import pyarrow as pa
 from pyarrow import dataset, parquet
 
-from stereo_ore.sinks.parquet import NO_DAY, TABLES, run_id, schema_of, write_parquet
+from stereo_ore.export.parquet import NO_DAY, TABLES, run_id, schema_of, write_parquet
 
 DAY_NS = 86_400_000_000_000
 README = Path(__file__).parents[1] / "README.md"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from stereo_ore.errors import CalibrationError, FrameError
-from stereo_ore.rectify import make_rectifier, rectify
+from stereo_ore.stages.rectify import make_rectifier, rectify
 from stereo_ore.types import CameraModel, StereoCalibration, StereoPair
 
 SIZE = (640, 480)
@@ -39,7 +39,7 @@ def points() -> np.ndarray:
 
 def test_rectified_images_pass_unchanged() -> None:
     image = np.random.default_rng(0).integers(0, 255, (480, 640, 3)).astype(np.uint8)
-    pair = rectify(StereoPair("f", 0, image, image), make_rectifier(rectified()))
+    pair = rectify(StereoPair(image, image, name="f", index=0), make_rectifier(rectified()))
     assert pair.left is image
     assert (pair.rig.fx, pair.rig.fy, pair.rig.cx, pair.rig.cy) == (500.0, 499.0, 321.0, 239.0)
     assert pair.rig.baseline_m == pytest.approx(0.12)
@@ -82,7 +82,7 @@ def test_eyes_above_each_other_are_refused() -> None:
 def test_an_image_of_another_size_is_named_with_both_sizes() -> None:
     small = np.zeros((240, 320, 3), np.uint8)
     with pytest.raises(FrameError, match=r"320×240.*640×480") as caught:
-        rectify(StereoPair("f", 0, small, small), make_rectifier(rectified()))
+        rectify(StereoPair(small, small, name="f", index=0), make_rectifier(rectified()))
     assert caught.value.code == "SIZE_MISMATCH"
 
 

@@ -15,8 +15,8 @@ from typer.testing import CliRunner
 
 from stereo_ore.cli import app, load_verbs
 from stereo_ore.errors import SourceError, StereoOreError
-from stereo_ore.serve.replay import frames, schedule
-from stereo_ore.sinks.message import transform_id
+from stereo_ore.plant.replay import frames, schedule
+from stereo_ore.plant.sinks.message import transform_id
 
 COMMAND = [sys.executable, "-c", "from stereo_ore.cli import launch; launch()", "replay"]
 

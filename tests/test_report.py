@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 from runs import cloud, make_run, ore, quarter_scene, record, write_lines
 
-from stereo_ore import cloud_io
 from stereo_ore.errors import MissingExtraError, SourceError
+from stereo_ore.io import clouds
 from stereo_ore.report import cloud_view, page, write_report
 from stereo_ore.types import Rig
 
@@ -110,7 +110,7 @@ def test_points_survive_packing() -> None:
     packed = cloud_view.pack(table, 100)
     assert (packed["count"], packed["of"]) == (100, 500)
     xyz = np.frombuffer(base64.b64decode(packed["xyz_mm"]), "<i2").reshape(-1, 3) / 1000
-    np.testing.assert_allclose(xyz, cloud_io.xyz(table[::5]), atol=0.00051)
+    np.testing.assert_allclose(xyz, clouds.xyz(table[::5]), atol=0.00051)
     np.testing.assert_array_equal(np.frombuffer(base64.b64decode(packed["ore"]), "<u2"), table["ore_id"][::5])
 
 

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from runs import smaller_scene
 
-from stereo_ore.calibration import dump, load
 from stereo_ore.cli import launch
-from stereo_ore.site import load_site
+from stereo_ore.io.calibration import dump, load
+from stereo_ore.io.site import load_site
 
 ROOT = Path(__file__).parents[1]
 SCENE = ROOT / "data" / "paper_03"

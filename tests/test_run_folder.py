@@ -8,8 +8,8 @@ import pytest
 
 from stereo_ore.cli import launch
 from stereo_ore.errors import OutputError
-from stereo_ore.sinks.atomic import write_bytes, write_text
-from stereo_ore.sinks.run_folder import LINES, FrameLines, RunFolder, digest
+from stereo_ore.io.atomic import write_bytes, write_text
+from stereo_ore.runs.folder import LINES, FrameLines, RunFolder, digest
 
 DESCRIPTION = {"schema": "stereo_ore/run/1", "source": "recording"}
 

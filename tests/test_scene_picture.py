@@ -6,10 +6,10 @@ import pytest
 from analytic import Ellipsoid, View, look_down
 
 from stereo_ore.config.models import SolidConfig, StrikeConfig
+from stereo_ore.draw.scene_picture import draw
 from stereo_ore.errors import MissingExtraError
-from stereo_ore.scene_picture import draw
-from stereo_ore.solid import solids
-from stereo_ore.strike import plans
+from stereo_ore.stages.solid import solids
+from stereo_ore.stages.strike import plans
 from stereo_ore.types import FrameResult, Ore, Site
 
 pytest.importorskip("matplotlib")

@@ -16,7 +16,7 @@ from live import free_port, names_in, wait_for
 from runs import quarter_scene
 
 from stereo_ore.errors import ConfigError
-from stereo_ore.sinks.settings import load_sinks
+from stereo_ore.plant.sinks.settings import load_sinks
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 LISTENING = "0A"

@@ -7,14 +7,15 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from screens import OPENING, RIG, WIDTH, Screen, draw
 
-from stereo_ore import grizzly, segment, synth
 from stereo_ore.config import GrizzlyConfig, SegmentConfig
-from stereo_ore.segment.cores import LEVEL_RATIO, cores
-from stereo_ore.segment.evidence import EDGE_VARIANCE, ore_mask
-from stereo_ore.segment.pixels import PIXEL_FEATURES, Sight, candidates, ore_probability, pixel_features
-from stereo_ore.segment.relief import fill_occlusions
-from stereo_ore.segment.split import smooth_relief, valley_depth
-from stereo_ore.segment.weights import PART_FEATURES, Logistic, Weights, load
+from stereo_ore.lab import synth
+from stereo_ore.stages import grizzly, segment
+from stereo_ore.stages.segment.cores import LEVEL_RATIO, cores
+from stereo_ore.stages.segment.evidence import EDGE_VARIANCE, ore_mask
+from stereo_ore.stages.segment.pixels import PIXEL_FEATURES, Sight, candidates, ore_probability, pixel_features
+from stereo_ore.stages.segment.relief import fill_occlusions
+from stereo_ore.stages.segment.split import smooth_relief, valley_depth
+from stereo_ore.stages.segment.weights import PART_FEATURES, Logistic, Weights, load
 from stereo_ore.types import Grizzly, OreMap, Rig, Site, Surface
 
 CONFIG = SegmentConfig()

@@ -23,13 +23,13 @@ from typer.testing import CliRunner
 from stereo_ore.cli import app, load_verbs
 from stereo_ore.config import HealthConfig
 from stereo_ore.errors import FrameError, SourceError, StereoOreError
-from stereo_ore.health.history import Watch
-from stereo_ore.serve.camera import Camera, open_camera
-from stereo_ore.serve.frames import LiveFrame, Position, Recording
-from stereo_ore.serve.loop import position
-from stereo_ore.serve.processing import Processor
-from stereo_ore.sinks.frame_files import FrameFiles
-from stereo_ore.sources import open_source
+from stereo_ore.io.recordings import open_source
+from stereo_ore.plant.camera import Camera, open_camera
+from stereo_ore.plant.frames import LiveFrame, Position, Recording
+from stereo_ore.plant.loop import position
+from stereo_ore.plant.processing import Processor
+from stereo_ore.runs.frame_files import FrameFiles
+from stereo_ore.runs.history import Watch
 from stereo_ore.types import Site
 
 COMMAND = [sys.executable, "-c", "from stereo_ore.cli import launch; launch()", "serve"]
@@ -277,8 +277,8 @@ def test_20_000_frames_leave_memory_and_handles_flat(tmp_path):
         return pages * os.sysconf("SC_PAGE_SIZE") / 1e6, len(list(Path("/proc/self/fd").iterdir()))
 
     pytest.importorskip("asyncua", reason="asyncua is not installed")
-    from stereo_ore.sinks.opcua import OpcUaSink
-    from stereo_ore.sinks.tcp import TcpSink
+    from stereo_ore.plant.sinks.opcua import OpcUaSink
+    from stereo_ore.plant.sinks.tcp import TcpSink
 
     sinks = [OpcUaSink("127.0.0.1", free_port()), TcpSink("127.0.0.1", 0)]
     with running(Endless(), tmp_path / "out", sinks) as (status, _, _):

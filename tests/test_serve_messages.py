@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from live import ListSink, make_message, make_ore, make_record, wait_for
 
 from stereo_ore.errors import OutputError
-from stereo_ore.serve.publisher import Publisher
-from stereo_ore.sinks.base import Outbox
-from stereo_ore.sinks.message import Origin, message, notice, transform_id
+from stereo_ore.plant.publisher import Publisher
+from stereo_ore.plant.sinks.base import Outbox
+from stereo_ore.plant.sinks.message import Origin, message, notice, transform_id
 
 
 def test_the_records_of_these_tests_are_real_ones():

@@ -17,10 +17,10 @@ import pytest
 from live import ListSink, names_in, running, wait_for
 
 from stereo_ore.errors import FrameError, SourceError
-from stereo_ore.serve.arrivals import arrivals
-from stereo_ore.serve.frames import Position
-from stereo_ore.serve.watch import FolderWatch
-from stereo_ore.sources import open_source
+from stereo_ore.io.recordings import open_source
+from stereo_ore.plant.arrivals import arrivals
+from stereo_ore.plant.frames import Position
+from stereo_ore.plant.watch import FolderWatch
 
 SERVER = Path(__file__).with_name("live.py")
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from stereo_ore.errors import ConfigError
-from stereo_ore.sinks.settings import is_loopback, load_sinks, open_sinks, read_users
+from stereo_ore.plant.sinks.settings import is_loopback, load_sinks, open_sinks, read_users
 
 
 def write_settings(folder: Path, text: str) -> Path:

@@ -8,9 +8,9 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from stereo_ore.calibration.pose import from_vector
+from stereo_ore.calibrate.pose import from_vector
 from stereo_ore.errors import ConfigError
-from stereo_ore.site import HandEyeRecord, load_site, save_arm, save_site
+from stereo_ore.io.site import HandEyeRecord, load_site, save_arm, save_site
 from stereo_ore.transforms import apply, inverse, rotation_fault
 from stereo_ore.types import Plane, Site, Volume
 

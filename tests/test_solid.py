@@ -9,10 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from stereo_ore.config.models import SolidConfig
 from stereo_ore.planes import fit_planes
-from stereo_ore.solid import looks, prior, solids
-from stereo_ore.solid.cues import gather
-from stereo_ore.solid.measure import IN_PLANE_TURNS, convex_body, longest_calliper, smallest_box
-from stereo_ore.solid.sight import look
+from stereo_ore.stages.solid import looks, prior, solids
+from stereo_ore.stages.solid.cues import gather
+from stereo_ore.stages.solid.measure import IN_PLANE_TURNS, convex_body, longest_calliper, smallest_box
+from stereo_ore.stages.solid.sight import look
 from stereo_ore.types import OreMap, Rig, Solid
 
 CONFIG = SolidConfig()

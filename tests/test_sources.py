@@ -15,10 +15,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stereo_ore.errors import FrameError, SourceError
-from stereo_ore.sources import open_source, open_two_files
-from stereo_ore.sources.images import read_image
-from stereo_ore.sources.names import frame_names, name_stamp, natural_key, split_name, stamp_name
-from stereo_ore.sources.quiet import overheard
+from stereo_ore.io.recordings import open_source, open_two_files
+from stereo_ore.io.recordings.images import read_image
+from stereo_ore.io.recordings.names import frame_names, name_stamp, natural_key, split_name, stamp_name
+from stereo_ore.io.recordings.quiet import overheard
 from stereo_ore.types import U8
 
 WIDTH, HEIGHT = 32, 20
@@ -258,7 +258,7 @@ def test_a_jpeg_of_an_unknown_revision_is_read_in_silence(tmp_path: Path, capfd:
 def test_a_service_without_standard_error(tmp_path: Path) -> None:
     path = save(tmp_path / "image.png", picture(0, "left"))
     code = (
-        "import os; os.close(2)\nfrom pathlib import Path\nfrom stereo_ore.sources.images import read_image\n"
+        "import os; os.close(2)\nfrom pathlib import Path\nfrom stereo_ore.io.recordings.images import read_image\n"
         f"print(read_image(Path({str(path)!r})).shape)"
     )
     done = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, timeout=60)

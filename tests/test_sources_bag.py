@@ -17,9 +17,9 @@ from hypothesis import strategies as st
 from runs import quarter_scene
 
 from stereo_ore.errors import CalibrationError, FrameError, SourceError
-from stereo_ore.sources import BagOptions, open_source, ros_messages
-from stereo_ore.sources.pairing import pair_by_stamp
-from stereo_ore.sources.topics import camera_info_topic, choose_topics, is_rectified
+from stereo_ore.io.recordings import BagOptions, open_source, ros_messages
+from stereo_ore.io.recordings.pairing import pair_by_stamp
+from stereo_ore.io.recordings.topics import camera_info_topic, choose_topics, is_rectified
 
 pytest.importorskip("rosbags", reason="the extra [bags] is not installed")
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from stereo_ore.errors import FrameError, SourceError
-from stereo_ore.sources import open_source
-from stereo_ore.sources.video import Decoder, SideBySideVideo
+from stereo_ore.io.recordings import open_source
+from stereo_ore.io.recordings.video import Decoder, SideBySideVideo
 
 COUNT, WIDTH, HEIGHT = 25, 128, 64
 CONTAINERS = {"avi": "MJPG", "mp4": "mp4v", "mkv": "XVID"}

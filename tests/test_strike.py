@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stereo_ore.config.models import SolidConfig, StrikeConfig
-from stereo_ore.solid import solids
-from stereo_ore.strike import plans
+from stereo_ore.stages.solid import solids
+from stereo_ore.stages.strike import plans
 from stereo_ore.types import Site, Solid, StrikePlan
 
 CONFIG = StrikeConfig()

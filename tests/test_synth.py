@@ -13,13 +13,14 @@ from conftest import PlanePair, small_spec
 from scipy.spatial import ConvexHull
 from typer.testing import CliRunner
 
-from stereo_ore import cli, synth
-from stereo_ore.calibration import load
+from stereo_ore import cli
 from stereo_ore.errors import ConfigError
-from stereo_ore.site import load_site
-from stereo_ore.synth import mesh, placing, rig, rocks, screen
-from stereo_ore.synth.eye import Eye, depth_and_instance
-from stereo_ore.synth.model import Model, Part, vertex_normals
+from stereo_ore.io.calibration import load
+from stereo_ore.io.site import load_site
+from stereo_ore.lab import synth
+from stereo_ore.lab.synth import mesh, placing, rig, rocks, screen
+from stereo_ore.lab.synth.eye import Eye, depth_and_instance
+from stereo_ore.lab.synth.model import Model, Part, vertex_normals
 from stereo_ore.transforms import apply, inverse
 from stereo_ore.types import CameraModel
 
@@ -262,7 +263,7 @@ def test_families() -> None:
 
 def test_low_light_is_noisier() -> None:
     radiance = np.full((64, 64, 3), 0.3, np.float32)
-    from stereo_ore.synth.sensor import expose
+    from stereo_ore.lab.synth.sensor import expose
 
     bright, dark = (
         expose(synth.Sensor(full_well=well), radiance, 1.0, np.random.default_rng(0)).std() for well in (8000, 500)

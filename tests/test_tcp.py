@@ -11,8 +11,8 @@ import pytest
 from live import make_message, wait_for
 
 from stereo_ore.errors import OutputError
-from stereo_ore.sinks import tcp
-from stereo_ore.sinks.tcp import TcpSink
+from stereo_ore.plant.sinks import tcp
+from stereo_ore.plant.sinks.tcp import TcpSink
 
 
 @pytest.fixture

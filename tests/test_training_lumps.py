@@ -6,11 +6,11 @@ import json
 import numpy as np
 import pytest
 
-from stereo_ore import synth
 from stereo_ore.config import SegmentConfig
-from stereo_ore.segment.pixels import PIXEL_FEATURES
-from stereo_ore.segment.weights import Logistic, Weights, load
-from stereo_ore.training import lumps
+from stereo_ore.lab import synth
+from stereo_ore.lab.training import lumps
+from stereo_ore.stages.segment.pixels import PIXEL_FEATURES
+from stereo_ore.stages.segment.weights import Logistic, Weights, load
 
 CONFIG = SegmentConfig()
 

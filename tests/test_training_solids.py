@@ -9,8 +9,8 @@ import pytest
 from typer.testing import CliRunner
 
 from stereo_ore.cli import app, load_verbs
-from stereo_ore.solid import Cues, prior
-from stereo_ore.training import shape_prior, solids
+from stereo_ore.lab.training import shape_prior, solids
+from stereo_ore.stages.solid import Cues, prior
 from stereo_ore.types import F64
 
 NO_DOUBT = dict.fromkeys(prior.DOUBTS, 0.0)

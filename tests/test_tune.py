@@ -7,17 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from stereo_ore.io.parameters import load_config
 from typer.testing import CliRunner
 
-from stereo_ore import cloud_io, filters, tune
-from stereo_ore.bench.labelled import TUNING_SEED, LabelledCloud, bare_cloud
 from stereo_ore.cli import app, load_verbs
-from stereo_ore.config.loader import load_config
 from stereo_ore.errors import ConfigError, StereoOreError
-from stereo_ore.filters.adaptive import run_passes
-from stereo_ore.filters.evidence import gather
-from stereo_ore.metrics import FilterQuality, filter_quality
-from stereo_ore.training import scorers
+from stereo_ore.io import clouds
+from stereo_ore.lab import tune
+from stereo_ore.lab.bench.labelled import TUNING_SEED, LabelledCloud, bare_cloud
+from stereo_ore.lab.metrics import FilterQuality, filter_quality
+from stereo_ore.lab.training import scorers
+from stereo_ore.stages import filters
+from stereo_ore.stages.filters.adaptive import run_passes
+from stereo_ore.stages.filters.evidence import gather
 
 
 def cloud(seed: int = 0) -> LabelledCloud:
@@ -32,7 +34,7 @@ def labelled_csv(tmp_path: Path) -> Path:
     made = cloud()
     columns = {axis: made.voxels.xyz[:, i] for i, axis in enumerate("xyz")} | {"noise": made.is_noise.astype(np.uint8)}
     path = tmp_path / "labelled.csv"
-    cloud_io.write(path, cloud_io.from_columns(columns))
+    clouds.write(path, clouds.from_columns(columns))
     return path
 
 

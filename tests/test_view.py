@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from runs import make_run, ore, record
 
+from stereo_ore.draw.view import save_view
 from stereo_ore.errors import OutputError, SourceError
-from stereo_ore.results import Results
-from stereo_ore.view import save_view
+from stereo_ore.io.results import Results
 
 HEADLESS = {key: value for key, value in os.environ.items() if key not in ("DISPLAY", "WAYLAND_DISPLAY")}
 

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from stereo_ore.config import VoxelConfig
 from stereo_ore.errors import CloudError
+from stereo_ore.stages.voxels import voxel_size, voxelise
 from stereo_ore.types import Disparity, PointCloud, Region, Rig, Volume
-from stereo_ore.voxels import voxel_size, voxelise
 
 RIG = Rig(64, 48, 50.0, 50.0, 32.0, 24.0, 0.12)
 REGION = Region(0, 0, 64, 48, 0, 16)

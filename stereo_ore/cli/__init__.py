@@ -11,8 +11,8 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from stereo_ore import __version__
 from stereo_ore.errors import OutputError, StereoOreError
+from stereo_ore.version import __version__
 
 VERBS = (
     "run",

@@ -25,7 +25,7 @@ def dump(
 
     Example: `stereo-ore config dump > parameters.yaml`
     """
-    from stereo_ore.config import dump_config, load_config
+    from stereo_ore.io.parameters import dump_config, load_config
 
     typer.echo(dump_config(load_config(config, settings or ()), comments=True), nl=False)
 
@@ -35,8 +35,8 @@ def validate(config: Annotated[Path, typer.Argument(help="File to check.")]) -> 
 
     Example: `stereo-ore config validate parameters.yaml`
     """
-    from stereo_ore.config import load_config
-    from stereo_ore.filters import parameters
+    from stereo_ore.io.parameters import load_config
+    from stereo_ore.stages.filters import parameters
 
     parameters(load_config(config).filter)
     typer.echo(f"{config}: valid")

@@ -41,7 +41,7 @@ def evaluate(
     from rich.console import Console
     from rich.progress import track
 
-    from stereo_ore import evaluate as judge
+    from stereo_ore.lab import evaluate as judge
 
     gates = _gates(at_least, 1) + _gates(at_most, -1)
     pairs = judge.find_pairs(results, truth)
@@ -86,9 +86,9 @@ def _check(gates: list[tuple[str, float, int]], total: dict[str, float]) -> None
 
 
 def _write(out: Path, rows: list[dict[str, Any]], total: dict[str, float]) -> None:
-    from stereo_ore.evaluate.plots import draw
-    from stereo_ore.figures import if_possible
-    from stereo_ore.sinks.atomic import write_text
+    from stereo_ore.draw.figures import if_possible
+    from stereo_ore.io.atomic import write_text
+    from stereo_ore.lab.evaluate.plots import draw
 
     write_text(out / "evaluation.json", json.dumps(_without_nan({"total": total, "rows": rows}), indent=1) + "\n")
     if_possible(lambda: draw(rows, out / "evaluation.png"))

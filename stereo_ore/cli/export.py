@@ -27,9 +27,9 @@ def export(
 
     Example: `stereo-ore export out results`; `stereo-ore export out tables --format parquet --camera north`
     """
-    from stereo_ore.results import Results
-    from stereo_ore.sinks.mcap import write_mcap
-    from stereo_ore.sinks.parquet import write_parquet
+    from stereo_ore.export.mcap import write_mcap
+    from stereo_ore.export.parquet import write_parquet
+    from stereo_ore.io.results import Results
 
     if format == "parquet":
         typer.echo(write_parquet(Results(folder), out, camera))

@@ -43,8 +43,9 @@ def filter_(
 
     Example: `stereo-ore filter scan.ply clean.ply --method adaptive --keep-noise noise.ply --picture factors.png`
     """
-    from stereo_ore import cloud_io, filters
-    from stereo_ore.config.loader import load_config
+    from stereo_ore.io import clouds
+    from stereo_ore.io.parameters import load_config
+    from stereo_ore.stages import filters
 
     config = load_config(
         None, [f"filter.method={method}", *(f"filter.params.{text}" for text in settings or [])]
@@ -53,23 +54,23 @@ def filter_(
     for path in (out, keep_noise, scores):
         if path:
             _check_output(path, source)
-    records = cloud_io.read(source)
-    xyz = cloud_io.xyz(records)
+    records = clouds.read(source)
+    xyz = clouds.xyz(records)
     result = filters.apply(_voxels(xyz * _metres(source, xyz, unit)), config)
-    cloud_io.write(out, records[result.keep])
+    clouds.write(out, records[result.keep])
     if keep_noise:
-        cloud_io.write(keep_noise, records[~result.keep])
+        clouds.write(keep_noise, records[~result.keep])
     if scores:
-        cloud_io.write(scores, cloud_io.from_columns({"keep": result.keep, "score": result.score}))
+        clouds.write(scores, clouds.from_columns({"keep": result.keep, "score": result.score}))
     if picture:
         _draw(xyz, result, picture)
     _report(result)
 
 
 def _check_output(path: Path, source: Path) -> None:
-    from stereo_ore import cloud_io
+    from stereo_ore.io import clouds
 
-    cloud_io.format_of(path)
+    clouds.format_of(path)
     if path.exists() and source.exists() and path.samefile(source):
         raise CloudError("is the input", file=path, remedy="Name another file; the recorded cloud is not replaced")
 
@@ -105,7 +106,7 @@ def _voxels(xyz: Any) -> Any:
 
 
 def _draw(xyz: Any, result: FilterResult, picture: Path) -> None:
-    from stereo_ore import filter_pictures
+    from stereo_ore.draw import filter_pictures
 
     filter_pictures.outlier_factors(xyz, result.score, picture)
     kept = picture.with_name(f"{picture.stem}-kept{picture.suffix}")

@@ -31,10 +31,10 @@ def replay(
 
     Example: `stereo-ore replay out --rate 2 --opcua 4840`
     """
-    from stereo_ore.serve.publisher import Publisher
-    from stereo_ore.serve.replay import frames, saved_transform, schedule
-    from stereo_ore.sinks.message import Origin, message, transform_id
-    from stereo_ore.sinks.settings import load_sinks, open_sinks
+    from stereo_ore.plant.publisher import Publisher
+    from stereo_ore.plant.replay import frames, saved_transform, schedule
+    from stereo_ore.plant.sinks.message import Origin, message, transform_id
+    from stereo_ore.plant.sinks.settings import load_sinks, open_sinks
 
     settings = load_sinks(sinks, opcua=opcua, mqtt=mqtt, tcp=tcp)
     origin = Origin(transform_id=transform_id(saved_transform(folder)), replay=True)

@@ -15,10 +15,10 @@ import typer
 from stereo_ore.errors import FrameError, MissingExtraError, SourceError
 
 if TYPE_CHECKING:
-    from stereo_ore.batch import Job
+    from stereo_ore.io.recordings import Source
     from stereo_ore.pipeline import Context
-    from stereo_ore.sinks.run_folder import RunFolder
-    from stereo_ore.sources import Source
+    from stereo_ore.runs.batch import Job
+    from stereo_ore.runs.folder import RunFolder
     from stereo_ore.types import Site, StereoCalibration
 
 log = logging.getLogger(__name__)
@@ -76,12 +76,14 @@ def run(
 
     Example: `stereo-ore run recording --calib calib/zed2_hd720.yaml --site site.yaml --out out`
     """
-    from stereo_ore import batch, figures, pipeline
-    from stereo_ore.config import load_config
-    from stereo_ore.sinks.frame_files import FrameFiles
-    from stereo_ore.sinks.run_folder import RunFolder
-    from stereo_ore.site import load_site
-    from stereo_ore.sources import limit_pixels
+    from stereo_ore import pipeline
+    from stereo_ore.draw import figures
+    from stereo_ore.io.parameters import load_config
+    from stereo_ore.io.recordings import limit_pixels
+    from stereo_ore.io.site import load_site
+    from stereo_ore.runs import batch
+    from stereo_ore.runs.folder import RunFolder
+    from stereo_ore.runs.frame_files import FrameFiles
     from stereo_ore.types import Site
 
     if scheduler and workers > 1:
@@ -114,8 +116,8 @@ def run(
 
 def _do_frames(job: Job, indices: range, folder: RunFolder, workers: int, scheduler: str | None) -> None:
     """What is left of the frames, into the folder, by processes of this machine or the workers of a cluster."""
-    from stereo_ore import batch, cluster
-    from stereo_ore.health.history import Watch
+    from stereo_ore.runs import batch, cluster
+    from stereo_ore.runs.history import Watch
 
     todo = indices[folder.done :]
     watch = Watch(job.context.config.health, folder.earlier())
@@ -132,7 +134,7 @@ def _open(
     topics: tuple[str | None, str | None],
     max_skew_ms: float,
 ) -> Source:
-    from stereo_ore.sources import BagOptions, open_source, open_two_files
+    from stereo_ore.io.recordings import BagOptions, open_source, open_two_files
 
     if left and right and source is None:
         return open_two_files(left, right)
@@ -148,7 +150,7 @@ def _open(
 
 def _calibration(recording: Source, calib: Path | None) -> StereoCalibration:
     """The calibration given or, without one, that of the recording."""
-    from stereo_ore.calibration import load
+    from stereo_ore.io.calibration import load
 
     if calib:
         return load(calib, image_size=_frame_size(recording))
@@ -178,9 +180,9 @@ def _announce(site: Site, frames: int) -> None:
 
 
 def _description(recording: Source, indices: range, context: Context, files: dict[str, Path | None]) -> dict[str, Any]:
-    from stereo_ore import matching
-    from stereo_ore.batch import sha256
-    from stereo_ore.sinks.run_folder import versions
+    from stereo_ore.runs.batch import sha256
+    from stereo_ore.runs.folder import versions
+    from stereo_ore.stages import matching
 
     region = context.region
     return {
@@ -201,9 +203,9 @@ def _description(recording: Source, indices: range, context: Context, files: dic
 
 
 def _write_inputs(out: Path, context: Context, site: Path | None) -> None:
-    from stereo_ore.calibration import dump
-    from stereo_ore.config import dump_config
-    from stereo_ore.sinks.atomic import write_bytes, write_text
+    from stereo_ore.io.atomic import write_bytes, write_text
+    from stereo_ore.io.calibration import dump
+    from stereo_ore.io.parameters import dump_config
 
     write_text(out / "config.yaml", dump_config(context.config))
     write_text(out / "calibration.yaml", dump(context.calibration))
@@ -256,7 +258,7 @@ def _progress(total: int, done: int) -> Iterator[Any]:
 
 def _summarise(out: Path) -> None:
     """What was found on standard output, and what went wrong on standard error."""
-    from stereo_ore.results import Results
+    from stereo_ore.io.results import Results
 
     totals: Counter[str] = Counter()
     bad: list[Json] = []

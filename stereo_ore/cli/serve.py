@@ -14,11 +14,11 @@ import typer
 
 if TYPE_CHECKING:
     from stereo_ore.pipeline import Context
-    from stereo_ore.serve.frames import LiveSource
-    from stereo_ore.serve.loop import Process
-    from stereo_ore.sinks.base import TargetSink
-    from stereo_ore.sinks.message import Origin
-    from stereo_ore.sinks.run_folder import RunFolder
+    from stereo_ore.plant.frames import LiveSource
+    from stereo_ore.plant.loop import Process
+    from stereo_ore.plant.sinks.base import TargetSink
+    from stereo_ore.plant.sinks.message import Origin
+    from stereo_ore.runs.folder import RunFolder
 
 log = logging.getLogger(__name__)
 
@@ -60,12 +60,12 @@ def serve(
 
     Example: `stereo-ore serve --watch inbox --calib calib/zed2_hd720.yaml --site site.yaml --out live --opcua 4840`
     """
-    from stereo_ore.health.history import Watch
-    from stereo_ore.serve.processing import Processor
-    from stereo_ore.sinks.frame_files import FrameFiles
-    from stereo_ore.sinks.message import Origin, transform_id
-    from stereo_ore.sinks.run_folder import RunFolder
-    from stereo_ore.sinks.settings import load_sinks, open_sinks
+    from stereo_ore.plant.processing import Processor
+    from stereo_ore.plant.sinks.message import Origin, transform_id
+    from stereo_ore.plant.sinks.settings import load_sinks, open_sinks
+    from stereo_ore.runs.folder import RunFolder
+    from stereo_ore.runs.frame_files import FrameFiles
+    from stereo_ore.runs.history import Watch
 
     consumers = open_sinks(load_sinks(sinks, opcua=opcua, mqtt=mqtt, tcp=tcp))
     context = _context(calib, site, config, settings or [])
@@ -88,10 +88,10 @@ def run_live(
     page: int | None,
 ) -> None:
     """Serve until a signal or the end of the source; then give the folder its final names."""
-    from stereo_ore.serve.loop import serve as serve_frames
-    from stereo_ore.serve.page import LivePage
-    from stereo_ore.serve.publisher import Publisher
-    from stereo_ore.serve.status import Status
+    from stereo_ore.plant.loop import serve as serve_frames
+    from stereo_ore.plant.page import LivePage
+    from stereo_ore.plant.publisher import Publisher
+    from stereo_ore.plant.status import Status
 
     stop = threading.Event()
     with Publisher(consumers, valid_for_s, origin) as publisher, _signals(stop), ExitStack() as stack:
@@ -124,9 +124,9 @@ def _signals(stop: threading.Event) -> Iterator[None]:
 
 def _context(calib: Path, site: Path | None, config: Path | None, settings: list[str]) -> Context:
     from stereo_ore import pipeline
-    from stereo_ore.calibration import load
-    from stereo_ore.config import load_config
-    from stereo_ore.site import load_site
+    from stereo_ore.io.calibration import load
+    from stereo_ore.io.parameters import load_config
+    from stereo_ore.io.site import load_site
     from stereo_ore.types import Site
 
     place = load_site(site) if site else Site()
@@ -136,10 +136,10 @@ def _context(calib: Path, site: Path | None, config: Path | None, settings: list
 
 
 def _open(source: Path | None, watch: Path | None, camera: int | None, context: Context) -> LiveSource:
-    from stereo_ore.serve.camera import open_camera
-    from stereo_ore.serve.frames import Recording
-    from stereo_ore.serve.watch import FolderWatch
-    from stereo_ore.sources import limit_pixels, open_source
+    from stereo_ore.io.recordings import limit_pixels, open_source
+    from stereo_ore.plant.camera import open_camera
+    from stereo_ore.plant.frames import Recording
+    from stereo_ore.plant.watch import FolderWatch
 
     max_pixels = context.config.source.max_pixels
     match source, watch, camera:
@@ -154,8 +154,8 @@ def _open(source: Path | None, watch: Path | None, camera: int | None, context: 
 
 def _description(source: str, context: Context, files: dict[str, Path | None]) -> dict[str, Any]:
     """What the run is made from; the same after a restart, so that it may go on."""
-    from stereo_ore.batch import sha256
-    from stereo_ore.sinks.run_folder import versions
+    from stereo_ore.runs.batch import sha256
+    from stereo_ore.runs.folder import versions
 
     return {
         "schema": "stereo_ore/run/1",
@@ -167,9 +167,9 @@ def _description(source: str, context: Context, files: dict[str, Path | None]) -
 
 
 def _write_inputs(out: Path, context: Context, site: Path | None) -> None:
-    from stereo_ore.calibration import dump
-    from stereo_ore.config import dump_config
-    from stereo_ore.sinks.atomic import write_bytes, write_text
+    from stereo_ore.io.atomic import write_bytes, write_text
+    from stereo_ore.io.calibration import dump
+    from stereo_ore.io.parameters import dump_config
 
     write_text(out / "config.yaml", dump_config(context.config))
     write_text(out / "calibration.yaml", dump(context.calibration))

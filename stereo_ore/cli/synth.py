@@ -40,7 +40,7 @@ def synth(
     from rich.console import Console
     from rich.progress import track
 
-    from stereo_ore import synth as made
+    from stereo_ore.lab import synth as made
 
     families = family or ["large"]
     specs = [made.sample_spec(seed + k, families[k % len(families)], size) for k in range(count)]

@@ -56,12 +56,12 @@ def tune(
 def _search(out: Path, method: str, files: list[Path], seeds: int, cost: Path | None) -> None:
     import yaml
 
-    from stereo_ore import tune as tuning
-    from stereo_ore.bench import labelled
-    from stereo_ore.config.loader import validate
-    from stereo_ore.figures import if_possible
-    from stereo_ore.sinks.atomic import make_folder
-    from stereo_ore.yaml_io import load_yaml
+    from stereo_ore.config.validation import validate
+    from stereo_ore.draw.figures import if_possible
+    from stereo_ore.io.atomic import make_folder
+    from stereo_ore.io.yaml_io import load_yaml
+    from stereo_ore.lab import tune as tuning
+    from stereo_ore.lab.bench import labelled
 
     weights = validate(tuning.CostWeights, load_yaml(cost, ConfigError) if cost else {}, cost or "cost", ConfigError)
     start = labelled.TUNING_SEED
@@ -79,8 +79,8 @@ def _search(out: Path, method: str, files: list[Path], seeds: int, cost: Path | 
 
 
 def _train(out: Path, kind: str, seeds: int, scenes: list[Path]) -> None:
-    from stereo_ore.bench.labelled import TUNING_SEED
-    from stereo_ore.sinks.atomic import make_folder
+    from stereo_ore.io.atomic import make_folder
+    from stereo_ore.lab.bench.labelled import TUNING_SEED
 
     trainers = {
         "geometry": _train_scorer,
@@ -99,8 +99,8 @@ def _train(out: Path, kind: str, seeds: int, scenes: list[Path]) -> None:
 
 def _train_scorer(kind: str, seeds: range, scenes: list[Path]) -> str:
     """JSON of one of the adaptive filter's scorers."""
-    from stereo_ore.bench.labelled import scene_stereo
-    from stereo_ore.training import scorers
+    from stereo_ore.lab.bench.labelled import scene_stereo
+    from stereo_ore.lab.training import scorers
 
     stereo = kind == "stereo"
     source = scorers.stereo_clouds(seeds) if stereo else scorers.geometry_clouds(seeds)
@@ -111,7 +111,7 @@ def _train_scorer(kind: str, seeds: range, scenes: list[Path]) -> str:
 def _train_segment(_kind: str, seeds: range, scenes: list[Path]) -> str:
     """JSON of the segmentation's models; their quality on scenes they did not see is logged."""
     from stereo_ore.config import SegmentConfig
-    from stereo_ore.training import lumps
+    from stereo_ore.lab.training import lumps
 
     sources = [*(partial(lumps.scene_views, s) for s in scenes), *(partial(lumps.made_views, n) for n in seeds)]
     views = [view for source in _watched(iter(sources), len(sources), "scenes") for view in source()]
@@ -122,7 +122,7 @@ def _train_segment(_kind: str, seeds: range, scenes: list[Path]) -> str:
 
 def _train_solids(_kind: str, seeds: range, scenes: list[Path]) -> str:
     """JSON of the solids' shape prior; its errors on scenes left out of the fit are logged."""
-    from stereo_ore.training import shape_prior, solids
+    from stereo_ore.lab.training import shape_prior, solids
 
     folders = [sample for folder in scenes for sample in solids.samples(solids.recorded(folder))]
     first = solids.FIRST_SEED

@@ -25,8 +25,8 @@ def view(
 
     Example: `stereo-ore view out --save out.rrd`
     """
-    from stereo_ore.results import Results
-    from stereo_ore.view import open_view, save_view
+    from stereo_ore.draw.view import open_view, save_view
+    from stereo_ore.io.results import Results
 
     if save:
         typer.echo(save_view(Results(folder), save))

@@ -1,6 +1,5 @@
 """Parameters: one pydantic model a stage, read from YAML and ``--set``, written back resolved."""
 
-from stereo_ore.config.loader import dump_config, load_config, nearest, validate
 from stereo_ore.config.models import (
     CloudConfig,
     Config,
@@ -13,6 +12,8 @@ from stereo_ore.config.models import (
     StrikeConfig,
     VoxelConfig,
 )
+from stereo_ore.config.validation import nearest, validate
+from stereo_ore.io.parameters import dump_config, load_config
 
 __all__ = [
     "CloudConfig",

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 
 from stereo_ore.config.models import Config
 from stereo_ore.errors import ConfigError, StereoOreError
-from stereo_ore.yaml_io import load_yaml, parse_yaml
+from stereo_ore.io.yaml_io import load_yaml, parse_yaml
 
 Model = TypeVar("Model", bound=BaseModel)
 SECRETS = frozenset(("users", "password"))

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from stereo_ore.io.atomic import write_text
+from stereo_ore.io.results import Results
 from stereo_ore.report.data import page_data
 from stereo_ore.report.page import render
-from stereo_ore.results import Results
-from stereo_ore.sinks.atomic import write_text
 
 __all__ = ["write_report"]
 

@@ -6,10 +6,10 @@ import json
 from pathlib import Path
 from typing import Any
 
-from stereo_ore.calibration.check import check_pair
+from stereo_ore.calibrate.check import check_pair
 from stereo_ore.errors import FrameError
-from stereo_ore.sinks.atomic import write_text
-from stereo_ore.sources import Source
+from stereo_ore.io.atomic import write_text
+from stereo_ore.io.recordings import Source
 from stereo_ore.types import StereoCalibration
 
 CHECK_FILE = "calibration_check.json"

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stereo_ore import cloud_io
+from stereo_ore.io import clouds
 from stereo_ore.types import F64, Rig
 
 SCORE_BINS = 60
@@ -19,7 +19,7 @@ MILLIMETRE = 0.001
 
 
 def views(
-    cloud: cloud_io.Records,
+    cloud: clouds.Records,
     stages: Mapping[str, npt.NDArray[Any]] | None,
     rig: Rig | None,
     sigma_px: float,
@@ -40,15 +40,15 @@ def views(
     points
         At most about this many are shown.
     """
-    noise = None if rig is None else noise_map(cloud_io.xyz(cloud), rig, sigma_px)
+    noise = None if rig is None else noise_map(clouds.xyz(cloud), rig, sigma_px)
     return {"points": pack(cloud, points), "scores": scores(cloud, stages), "noise": noise}
 
 
-def pack(cloud: cloud_io.Records, points: int) -> dict[str, Any]:
+def pack(cloud: clouds.Records, points: int) -> dict[str, Any]:
     """Every n-th point as base64 of little-endian arrays: xyz int16 [mm], grey uint8, ore id uint16."""
     step = -(-len(cloud) // max(points, 1))
     some = cloud[::step]
-    millimetres = np.clip(np.rint(cloud_io.xyz(some) / MILLIMETRE), -32767, 32767)
+    millimetres = np.clip(np.rint(clouds.xyz(some) / MILLIMETRE), -32767, 32767)
     grey = 0.299 * some["red"] + 0.587 * some["green"] + 0.114 * some["blue"]
     return {
         "count": len(some),
@@ -59,7 +59,7 @@ def pack(cloud: cloud_io.Records, points: int) -> dict[str, Any]:
     }
 
 
-def scores(cloud: cloud_io.Records, stages: Mapping[str, npt.NDArray[Any]] | None) -> dict[str, Any]:
+def scores(cloud: clouds.Records, stages: Mapping[str, npt.NDArray[Any]] | None) -> dict[str, Any]:
     """Histogram of the filter's scores among kept and, where known, removed voxels; the top 0.5 % in the last bin."""
     if stages is None:
         kept, removed = cloud["score"], np.zeros(0, np.float32)

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from stereo_ore.io.results import Json, Results
 from stereo_ore.report import cloud_view, pictures
-from stereo_ore.results import Json, Results
 
 DETAILED_FRAMES = 8
 THUMBNAILS = 120

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from stereo_ore.errors import FrameError
-from stereo_ore.sources.images import read_image
+from stereo_ore.io.recordings.images import read_image
 from stereo_ore.types import U8
 
 OVERLAY_WIDTH, OVERLAY_QUALITY = 1280, 80

@@ -17,23 +17,8 @@ from stereo_ore.types.arrays import (
     Mask,
     check_shape,
 )
-from stereo_ore.types.geometry import (
-    CameraModel,
-    Plane,
-    Region,
-    Rig,
-    Site,
-    StereoCalibration,
-    Volume,
-)
-from stereo_ore.types.results import (
-    FrameResult,
-    Ore,
-    Reason,
-    Solid,
-    Strike,
-    StrikePlan,
-)
+from stereo_ore.types.geometry import CameraModel, Plane, Region, Rig, Site, StereoCalibration, Volume
+from stereo_ore.types.results import FrameResult, Ore, Reason, Solid, Strike, StrikePlan
 from stereo_ore.types.stages import (
     Background,
     Bars,

@@ -9,17 +9,18 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from stereo_ore import calibration, cloud_io
-from stereo_ore.calibration.tables import read_poses, read_touched
-from stereo_ore.config import load_config
+from stereo_ore.io.parameters import load_config
+
+from stereo_ore.calibrate.tables import read_poses, read_touched
 from stereo_ore.errors import StereoOreError
-from stereo_ore.matching import background
-from stereo_ore.results import Results
-from stereo_ore.serve.loop import position
-from stereo_ore.sinks.settings import load_sinks, read_users
-from stereo_ore.site import load_site
-from stereo_ore.sources import open_source
-from stereo_ore.sources.images import read_image
+from stereo_ore.io import calibration, clouds
+from stereo_ore.io.recordings import open_source
+from stereo_ore.io.recordings.images import read_image
+from stereo_ore.io.results import Results
+from stereo_ore.io.site import load_site
+from stereo_ore.plant.loop import position
+from stereo_ore.plant.sinks.settings import load_sinks, read_users
+from stereo_ore.stages.matching import background
 
 CORPUS = Path(__file__).parent / "corpus"
 IMAGE_SIZE = (1280, 720)
@@ -89,11 +90,11 @@ PARSERS = {
     "middlebury": Parser("calib.txt", read_calibration),
     "touched": Parser("touched.csv", read_touched),
     "poses": Parser("poses.csv", read_poses),
-    "ply": Parser("cloud.ply", cloud_io.read),
-    "pcd": Parser("cloud.pcd", cloud_io.read),
-    "npy": Parser("cloud.npy", cloud_io.read),
-    "npz": Parser("cloud.npz", cloud_io.read),
-    "text": Parser("cloud.csv", cloud_io.read),
+    "ply": Parser("cloud.ply", clouds.read),
+    "pcd": Parser("cloud.pcd", clouds.read),
+    "npy": Parser("cloud.npy", clouds.read),
+    "npz": Parser("cloud.npz", clouds.read),
+    "text": Parser("cloud.csv", clouds.read),
     "image": Parser("image.png", read_image),
     "rosbag1": Parser("recording.bag", read_source),
     "mcap": Parser("recording.mcap", read_source),

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from parsers import CORPUS, PARSERS
 
 from stereo_ore.errors import SourceError
+from stereo_ore.io.record_check import KEYWORDS, record_fault
+from stereo_ore.io.results import Results, parse_record
 from stereo_ore.record import record, to_line
-from stereo_ore.record_check import KEYWORDS, record_fault
-from stereo_ore.results import Results, parse_record
 from stereo_ore.types import FrameResult, Grizzly, Plane, Reason, Site
 
 SCHEMA = json.loads((Path(__file__).parents[2] / "stereo_ore" / "schema" / "frame-1.json").read_text())

@@ -29,9 +29,9 @@ def faults(
 
     Example: `stereo-ore bench faults --family paper --family large --count 100`
     """
-    from stereo_ore import synth
-    from stereo_ore.bench import faults as bench
-    from stereo_ore.config import load_config
+    from stereo_ore.io.parameters import load_config
+    from stereo_ore.lab import synth
+    from stereo_ore.lab.bench import faults as bench
 
     config, families = load_config(None, settings or []), family or ["paper", "large"]
     rows: dict[str, bench.Row] = {}

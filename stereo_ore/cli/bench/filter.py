@@ -15,7 +15,7 @@ import typer
 from stereo_ore.errors import SourceError
 
 if TYPE_CHECKING:
-    from stereo_ore.bench.labelled import LabelledCloud
+    from stereo_ore.lab.bench.labelled import LabelledCloud
 
 log = logging.getLogger(__name__)
 
@@ -37,9 +37,9 @@ def filter_(
 
     Example: `stereo-ore bench filter --out bench --scenes scenes --readme README.md`
     """
-    from stereo_ore.bench import filters as bench
-    from stereo_ore.bench import labelled, tables
-    from stereo_ore.sinks.atomic import make_folder
+    from stereo_ore.io.atomic import make_folder
+    from stereo_ore.lab.bench import filters as bench
+    from stereo_ore.lab.bench import labelled, tables
 
     make_folder(out)
     stereo_total, stereo_clouds = _stereo(stereo_seeds, family or ["paper", "large", "hard"], scenes)
@@ -60,7 +60,7 @@ def _judge(clouds: Iterator[LabelledCloud], total: int, title: str) -> dict[str,
     from rich.console import Console
     from rich.progress import track
 
-    from stereo_ore.bench import filters as bench
+    from stereo_ore.lab.bench import filters as bench
 
     shown = sys.stderr.isatty() and log.isEnabledFor(logging.INFO)
     progress = track(clouds, title, total=total, console=Console(stderr=True), disable=not shown)
@@ -71,7 +71,7 @@ def _judge(clouds: Iterator[LabelledCloud], total: int, title: str) -> dict[str,
 
 def _stereo(seeds: int, families: list[str], scenes: Path | None) -> tuple[int, Iterator[LabelledCloud]]:
     """How many stereo clouds there will be, and the clouds, made one at a time."""
-    from stereo_ore.bench import labelled
+    from stereo_ore.lab.bench import labelled
 
     folders = sorted(path.parent for path in scenes.glob("*/gt.json")) if scenes else []
     if scenes and not folders:
@@ -87,8 +87,9 @@ def _stereo(seeds: int, families: list[str], scenes: Path | None) -> tuple[int, 
 
 def _draw(labelled: LabelledCloud, out: Path) -> None:
     """The paper's Figures 4 and 5 on the first cloud."""
-    from stereo_ore import filter_pictures, filters
     from stereo_ore.config import FilterConfig
+    from stereo_ore.draw import filter_pictures
+    from stereo_ore.stages import filters
 
     cloud = labelled.voxels
     methods = ("none", "radius", "statistical", "paper", "paper-tuned", "adaptive")

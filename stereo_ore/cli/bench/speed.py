@@ -37,10 +37,11 @@ def speed(
 
     Example: `stereo-ore bench speed --out bench --readme README.md`
     """
-    from stereo_ore import figures, synth
-    from stereo_ore.bench import growth, speed_tables, tables
-    from stereo_ore.bench import speed as bench
-    from stereo_ore.sinks.atomic import make_folder
+    from stereo_ore.draw import figures
+    from stereo_ore.io.atomic import make_folder
+    from stereo_ore.lab import synth
+    from stereo_ore.lab.bench import growth, speed_tables, tables
+    from stereo_ore.lab.bench import speed as bench
 
     sizes = size or list(synth.SIZES)
     if unknown := set(sizes) - set(synth.SIZES):

@@ -28,9 +28,9 @@ def stereo(
 
     Example: `stereo-ore bench stereo data --out bench`
     """
-    from stereo_ore.bench import stereo as bench
-    from stereo_ore.bench import stereo_sets, tables
-    from stereo_ore.sinks.atomic import make_folder
+    from stereo_ore.io.atomic import make_folder
+    from stereo_ore.lab.bench import stereo as bench
+    from stereo_ore.lab.bench import stereo_sets, tables
 
     if out:
         make_folder(out)

@@ -28,12 +28,12 @@ def background(
     """
     import numpy as np
 
-    from stereo_ore import matching
-    from stereo_ore.calibration import load
-    from stereo_ore.config import load_config
-    from stereo_ore.rectify import make_rectifier, rectify
-    from stereo_ore.site import load_site
-    from stereo_ore.sources import open_source
+    from stereo_ore.io.calibration import load
+    from stereo_ore.io.parameters import load_config
+    from stereo_ore.io.recordings import open_source
+    from stereo_ore.io.site import load_site
+    from stereo_ore.stages import matching
+    from stereo_ore.stages.rectify import make_rectifier, rectify
 
     recording = open_source(source)
     rectifier = make_rectifier(load(calib))

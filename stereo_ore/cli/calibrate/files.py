@@ -29,8 +29,8 @@ def import_(
     """
     from dataclasses import replace
 
-    from stereo_ore.calibration import save
-    from stereo_ore.calibration.convert import convert_zed
+    from stereo_ore.calibrate.convert import convert_zed
+    from stereo_ore.io.calibration import save
 
     calibration = load_any(file, images, size, unit, eyes)
     if to is not None:
@@ -54,7 +54,7 @@ def show(
 
     Example: `stereo-ore calibrate show calib/zed2_hd720.yaml --picture camera.png`
     """
-    from stereo_ore.calibration.show import describe, draw
+    from stereo_ore.calibrate.show import describe, draw
 
     calibration = load_any(file, images, size, unit, eyes)
     typer.echo(describe(calibration))

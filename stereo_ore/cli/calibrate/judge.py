@@ -12,7 +12,7 @@ from stereo_ore.cli.calibrate.options import UNITS_M, Eyes, Images, Unit, two_nu
 from stereo_ore.errors import CalibrationError, SourceError
 
 if TYPE_CHECKING:
-    from stereo_ore.calibration.check import Known
+    from stereo_ore.calibrate.check import Known
 
 
 def check(
@@ -31,12 +31,12 @@ def check(
 
     Example: `stereo-ore calibrate check recordings/today --calib calib/ours.yaml --known 640,360,2.41`
     """
-    from stereo_ore.calibration import load
-    from stereo_ore.calibration.check import check_pair
-    from stereo_ore.calibration.check_report import draw, report
+    from stereo_ore.calibrate.check import check_pair
+    from stereo_ore.calibrate.check_report import draw, report
     from stereo_ore.cli import EXIT_QUALITY
-    from stereo_ore.rectify import make_rectifier, rectify
-    from stereo_ore.sources import open_source
+    from stereo_ore.io.calibration import load
+    from stereo_ore.io.recordings import open_source
+    from stereo_ore.stages.rectify import make_rectifier, rectify
 
     points = [_known(text) for text in known or ()]
     recording = open_source(source)
@@ -56,7 +56,7 @@ def check(
 
 
 def _known(text: str) -> Known:
-    from stereo_ore.calibration.check import Known
+    from stereo_ore.calibrate.check import Known
 
     try:
         u, v, distance = (float(part) for part in text.split(","))

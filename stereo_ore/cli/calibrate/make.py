@@ -12,10 +12,10 @@ from stereo_ore.cli.calibrate.options import Size, load_any, two_numbers, writin
 from stereo_ore.errors import CalibrationError, FrameError
 
 if TYPE_CHECKING:
-    from stereo_ore.calibration.board import BoardView
-    from stereo_ore.calibration.detect import Board
-    from stereo_ore.calibration.hand_eye import ArmView
-    from stereo_ore.calibration.touched import HandEyeResult
+    from stereo_ore.calibrate.board import BoardView
+    from stereo_ore.calibrate.detect import Board
+    from stereo_ore.calibrate.hand_eye import ArmView
+    from stereo_ore.calibrate.touched import HandEyeResult
     from stereo_ore.types import F64
 
 log = logging.getLogger(__name__)
@@ -38,8 +38,8 @@ def stereo(
     """
     from dataclasses import replace
 
-    from stereo_ore.calibration import save
-    from stereo_ore.calibration.board import calibrate_stereo, draw_coverage, report
+    from stereo_ore.calibrate.board import calibrate_stereo, draw_coverage, report
+    from stereo_ore.io.calibration import save
 
     target = _board(board, square_mm, marker_mm, dictionary)
     views, size = _views(source, target)
@@ -71,9 +71,9 @@ def hand_eye(
 
     Example: `stereo-ore calibrate hand-eye --points touched.csv --calib ours.yaml --site site.yaml --out new.yaml`
     """
-    from stereo_ore.calibration.hand_eye import fit_hand_eye
-    from stereo_ore.calibration.tables import read_poses, read_touched
-    from stereo_ore.calibration.touched import fit_touched
+    from stereo_ore.calibrate.hand_eye import fit_hand_eye
+    from stereo_ore.calibrate.tables import read_poses, read_touched
+    from stereo_ore.calibrate.touched import fit_touched
     from stereo_ore.cli import EXIT_QUALITY
 
     calibration = load_any(calib, None, size, "m", None)
@@ -90,7 +90,7 @@ def hand_eye(
 
 
 def _board(sides: str, square_mm: float, marker_mm: float | None, dictionary: str) -> Board:
-    from stereo_ore.calibration.detect import Board
+    from stereo_ore.calibrate.detect import Board
 
     columns, rows = two_numbers(sides.lower(), "x", "--board")
     return Board(columns, rows, square_mm / 1000, None if marker_mm is None else marker_mm / 1000, dictionary)
@@ -101,8 +101,8 @@ def _views(source: Path, board: Board) -> tuple[list[BoardView], tuple[int, int]
     import cv2
     import numpy as np
 
-    from stereo_ore.calibration.board import BoardView, find_view
-    from stereo_ore.sources import open_source
+    from stereo_ore.calibrate.board import BoardView, find_view
+    from stereo_ore.io.recordings import open_source
 
     recording = open_source(source)
     views: list[BoardView] = []
@@ -130,7 +130,7 @@ def _views(source: Path, board: Board) -> tuple[list[BoardView], tuple[int, int]
 
 def _arm_views(source: Path, board: Board, poses: dict[str, F64]) -> list[ArmView]:
     """The pairs of a recording in which both eyes see the board and whose pose is known."""
-    from stereo_ore.calibration.hand_eye import ArmView
+    from stereo_ore.calibrate.hand_eye import ArmView
 
     if not board.has_one_reading:
         problem = "a chessboard whose columns and rows add to an even number looks the same turned by 180°"
@@ -150,7 +150,7 @@ def _arm_views(source: Path, board: Board, poses: dict[str, F64]) -> list[ArmVie
 
 def _write_site(result: HandEyeResult, out: Path, base: Path | None) -> None:
     """Print the residuals and write the site."""
-    from stereo_ore.site import HandEyeRecord, save_arm
+    from stereo_ore.io.site import HandEyeRecord, save_arm
 
     for name, residual, used in zip(result.names, result.residual_mm, result.used, strict=True):
         typer.echo(f"{name:<20} {residual:8.1f} mm{'' if used else '  dropped: does not agree with the others'}")

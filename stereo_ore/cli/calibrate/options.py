@@ -26,7 +26,7 @@ Eyes = Annotated[str | None, typer.Option(help="Left and right camera of a longe
 
 def load_any(file: Path, images: Images, size: str | None, unit: str, eyes: str | None) -> StereoCalibration:
     """The calibration in a file of any format, with the options that say what the file does not."""
-    from stereo_ore.calibration import load
+    from stereo_ore.io.calibration import load
 
     return load(
         file,

@@ -1,0 +1,60 @@
+"""Calibrations: read from any known format, recognised by content; written as native YAML."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from stereo_ore.errors import CalibrationError
+from stereo_ore.io.calibration import kalibr, middlebury, native, opencv, ros, zed
+from stereo_ore.io.calibration.formats import Format, Hints
+from stereo_ore.io.calibration.geometry import Images, check_image_size
+from stereo_ore.io.calibration.native import dump, save
+from stereo_ore.io.yaml_io import read_text
+from stereo_ore.types import StereoCalibration
+
+__all__ = ["FORMATS", "check_image_size", "dump", "load", "save"]
+
+FORMATS: dict[str, Format] = {
+    "native": native,
+    "zed": zed,
+    "opencv": opencv,
+    "ros": ros,
+    "kalibr": kalibr,
+    "middlebury": middlebury,
+}
+"""Asked in this order; a new format is a module and a line."""
+
+
+def load(
+    path: str | Path,
+    images: Images | None = None,
+    image_size: tuple[int, int] | None = None,
+    unit_m: float = 1.0,
+    eyes: tuple[int, int] | None = None,
+) -> StereoCalibration:
+    """The stereo calibration in a file of any known format.
+
+    Parameters
+    ----------
+    path
+        The file; of formats that keep a file an eye, either of the two.
+    images
+        What the recorded images are, where that differs from what the file says or implies.
+    image_size
+        Width and height [px] of one eye, for formats that hold several or none.
+    unit_m
+        Length of one unit of a translation, for formats that do not fix it (OpenCV, ROS).
+    eyes
+        Numbers of the left and the right camera, for chains of more than two.
+
+    Raises
+    ------
+    CalibrationError
+        When the file can't be read, is in no known format, or describes an impossible camera.
+    """
+    path = Path(path)
+    text = read_text(path, CalibrationError)
+    for reader in FORMATS.values():
+        if reader.recognises(text):
+            return reader.read(path, text, Hints(images, image_size, unit_m, eyes))
+    raise CalibrationError(f"is in no known calibration format ({', '.join(FORMATS)})", file=path)

@@ -1,0 +1,133 @@
+"""ZED factory files ``SN<serial>.conf``: INI, one section an eye and resolution, millimetres.
+
+X_right = R·X_left + T with T = (−Baseline, TY, TZ) and R = Rodrigues(RX, CV, RZ).
+"""
+
+from __future__ import annotations
+
+import configparser
+import re
+from pathlib import Path
+
+from stereo_ore.config.validation import nearest
+from stereo_ore.errors import CalibrationError
+from stereo_ore.io.calibration.formats import Hints
+from stereo_ore.io.calibration.geometry import make_calibration
+from stereo_ore.types import CameraModel, StereoCalibration
+
+SIZES = {
+    "2K": (2208, 1242),
+    "FHD": (1920, 1080),
+    "FHD1200": (1920, 1200),
+    "HD": (1280, 720),
+    "SVGA": (960, 600),
+    "VGA": (672, 376),
+}
+"""Width and height of one eye in each mode."""
+
+_SECTION = re.compile(r"^\s*\[(LEFT|RIGHT)_CAM_\w+\]", re.MULTILINE | re.IGNORECASE)
+_DISTORTION = ("k1", "k2", "p1", "p2", "k3")
+
+Values = dict[str, float]
+
+
+def recognises(text: str) -> bool:
+    """Whether the text has a section of a ZED eye."""
+    return bool(_SECTION.search(text))
+
+
+def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
+    """The calibration of the mode whose images have `hints.image_size`.
+
+    Raises
+    ------
+    CalibrationError
+        When the size is not given, is no ZED mode or not in the file; when a key is missing or no number.
+    """
+    sections = _parse(path, text)
+    mode = _mode(path, sections, hints.image_size)
+    if hints.images == "rectified":
+        raise CalibrationError(
+            "a factory file describes the raw images, not the rectified ones that the ZED SDK writes",
+            file=path,
+            remedy="Take fx, cx, cy and the baseline from the SDK (calibration_parameters) into a native YAML",
+        )
+    eyes = {side: _eye(path, sections, side, mode) for side in ("left", "right")}
+    stereo = sections.get("stereo", {})
+    rotation = [_stereo(path, stereo, names, mode) for names in (("rx",), ("cv", "ry"), ("rz",))]
+    baseline = _require(path, stereo, "baseline", "STEREO")
+    shift = [_stereo(path, stereo, (name,), mode, missing=0.0) for name in ("ty", "tz")]
+    return make_calibration(
+        path,
+        image_size=SIZES[mode],
+        left=eyes["left"],
+        right=eyes["right"],
+        rotation=rotation,
+        translation_m=[round(value / 1000, 12) for value in (-baseline, *shift)],
+        images="raw",
+        camera=f"ZED {path.stem} {mode}",
+    )
+
+
+def _parse(path: Path, text: str) -> dict[str, Values]:
+    """Sections and keys in lower case, values as numbers; text values are left out."""
+    parser = configparser.ConfigParser(interpolation=None, inline_comment_prefixes=(";", "#"))
+    try:
+        parser.read_string(text)
+    except configparser.Error as fault:
+        raise CalibrationError(f"is not a valid INI file: {str(fault).splitlines()[0]}", file=path) from None
+    return {name.lower(): _numbers(path, name, parser[name]) for name in parser.sections()}
+
+
+def _numbers(path: Path, section: str, items: configparser.SectionProxy) -> Values:
+    values = {}
+    for key, text in items.items():
+        try:
+            values[key.lower()] = float(text)
+        except (TypeError, ValueError):
+            if section.upper() == "STEREO" or "_CAM_" in section.upper():
+                raise CalibrationError(f"{text!r} is not a number", file=path, key=f"[{section}] {key}") from None
+    return values
+
+
+def _mode(path: Path, sections: dict[str, Values], size: tuple[int, int] | None) -> str:
+    present = [mode for mode in SIZES if f"left_cam_{mode}".lower() in sections]
+    names = ", ".join(f"{mode} ({SIZES[mode][0]}×{SIZES[mode][1]})" for mode in present)
+    if size is None and len(present) == 1:
+        return present[0]
+    if size is None:
+        raise CalibrationError(f"holds several resolutions: {names}", file=path, remedy="Say which with --size WxH")
+    for mode in present:
+        if SIZES[mode] == tuple(size):
+            return mode
+    raise CalibrationError(
+        f"has no calibration for images of {size[0]}×{size[1]} px, only {names or 'none'}", file=path
+    )
+
+
+def _require(path: Path, values: Values, key: str, section: str) -> float:
+    if key in values:
+        return values[key]
+    raise CalibrationError(f"key is missing{nearest(key, values)}", file=path, key=f"[{section}] {key}")
+
+
+def _eye(path: Path, sections: dict[str, Values], side: str, mode: str) -> CameraModel:
+    name = f"{side}_cam_{mode}"
+    values = sections.get(name.lower())
+    if values is None:
+        raise CalibrationError("section is missing", file=path, key=f"[{name.upper()}]")
+    fx, fy, cx, cy = (_require(path, values, key, name.upper()) for key in ("fx", "fy", "cx", "cy"))
+    wide = sections.get(f"{side}_disto", {})
+    if "k1" not in values and "k4" in wide:
+        return CameraModel((fx, fy), (cx, cy), tuple(wide.get(k, 0.0) for k in (*_DISTORTION, "k4", "k5", "k6")))
+    return CameraModel((fx, fy), (cx, cy), tuple(values.get(key, wide.get(key, 0.0)) for key in _DISTORTION))
+
+
+def _stereo(path: Path, stereo: Values, names: tuple[str, ...], mode: str, missing: float | None = None) -> float:
+    """A value of [STEREO], spelled with the mode's suffix or without it."""
+    for key in (spelling for name in names for spelling in (f"{name}_{mode}".lower(), name)):
+        if key in stereo:
+            return stereo[key]
+    if missing is not None:
+        return missing
+    return _require(path, stereo, f"{names[0]}_{mode}".lower(), "STEREO")

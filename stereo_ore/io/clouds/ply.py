@@ -1,0 +1,132 @@
+"""PLY, ASCII and binary of either byte order: the vertex element, all its scalar properties."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from stereo_ore.errors import CloudError
+from stereo_ore.io.clouds.records import Records, require_bytes, require_xyz
+from stereo_ore.io.clouds.text import parse_rows
+
+TYPES = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
+    "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
+    "double": "f8", "float64": "f8",
+}  # fmt: skip
+NAMES = {
+    "i1": "char",
+    "u1": "uchar",
+    "i2": "short",
+    "u2": "ushort",
+    "i4": "int",
+    "u4": "uint",
+    "f4": "float",
+    "f8": "double",
+}
+ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+MAX_HEADER_LINES = 1000
+
+
+@dataclass
+class _Element:
+    name: str
+    count: int
+    properties: list[tuple[str, str]] = field(default_factory=list)
+    has_list: bool = False
+
+
+def read(path: Path) -> Records:
+    """Vertices of a PLY file; faces and other elements are left alone."""
+    with path.open("rb") as file:
+        encoding, elements = _header(file, path)
+        before = []
+        for element in elements:
+            if element.name == "vertex":
+                break
+            before.append(element)
+        else:
+            raise CloudError("has no vertex element", file=path)
+        if element.has_list or any(e.has_list for e in before):
+            raise CloudError("has a list property in or before its vertices", file=path, remedy="Write points only")
+        return require_xyz(_body(file, path, encoding, before, element), path)
+
+
+def _body(file: BinaryIO, path: Path, encoding: str, before: list[_Element], vertex: _Element) -> Records:
+    left = path.stat().st_size - file.tell()
+    order = ORDERS[encoding]
+    dtype = np.dtype([(name, order + kind) for name, kind in vertex.properties])
+    if encoding == "ascii":
+        require_bytes(2 * vertex.count * len(vertex.properties) - 1, left, path)
+        for _ in range(sum(e.count for e in before)):
+            if not file.readline():
+                break
+        return parse_rows(file, dtype, vertex.count, path)
+    skip = sum(e.count * sum(np.dtype(kind).itemsize for _, kind in e.properties) for e in before)
+    require_bytes(skip + vertex.count * dtype.itemsize, left, path)
+    file.seek(skip, 1)
+    return np.fromfile(file, dtype, vertex.count) if dtype.names else np.empty(0, dtype)
+
+
+def _header(file: BinaryIO, path: Path) -> tuple[str, list[_Element]]:
+    if file.readline(8).strip() != b"ply":
+        raise CloudError("does not begin with 'ply'", file=path)
+    encoding, elements = "", list[_Element]()
+    for _ in range(MAX_HEADER_LINES):
+        line = file.readline(4096)
+        words = line.decode("ascii", "replace").split()
+        if words[:1] == ["end_header"]:
+            if not encoding:
+                raise CloudError("has no format line", file=path)
+            return encoding, elements
+        if words[:1] == ["format"]:
+            encoding = _encoding(words, path)
+        elif words[:1] == ["element"]:
+            elements.append(_element(words, path))
+        elif words[:1] == ["property"]:
+            _property(words, elements, path)
+        elif not line:
+            break
+    raise CloudError("has no end_header", file=path)
+
+
+def _encoding(words: list[str], path: Path) -> str:
+    if len(words) < 2 or words[1] not in ORDERS:
+        raise CloudError(f"format {' '.join(words[1:])!r} is none of {', '.join(ORDERS)}", file=path)
+    return words[1]
+
+
+def _element(words: list[str], path: Path) -> _Element:
+    if len(words) != 3 or not words[2].isdigit():
+        raise CloudError(f"header line {' '.join(words)!r} is not 'element NAME COUNT'", file=path)
+    return _Element(words[1], int(words[2]))
+
+
+def _property(words: list[str], elements: list[_Element], path: Path) -> None:
+    if not elements:
+        raise CloudError("has a property before any element", file=path)
+    element = elements[-1]
+    if words[1:2] == ["list"]:
+        element.has_list = True
+    elif len(words) == 3 and words[1] in TYPES and words[2] not in dict(element.properties):
+        element.properties.append((words[2], TYPES[words[1]]))
+    else:
+        raise CloudError(f"header line {' '.join(words)!r} is no property that can be read", file=path)
+
+
+def write(path: Path, records: Records) -> None:
+    """Binary little-endian PLY with every column; integers wider than 32 bits become doubles."""
+    fields = [(name, _kind(records.dtype[name])) for name in records.dtype.names or ()]
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(records)}"]
+    header += [f"property {NAMES[kind]} {name}" for name, kind in fields]
+    with path.open("wb") as file:
+        file.write(("\n".join([*header, "end_header"]) + "\n").encode("ascii"))
+        file.write(records.astype(np.dtype([(name, "<" + kind) for name, kind in fields])).tobytes())
+
+
+def _kind(dtype: np.dtype[np.generic]) -> str:
+    kind = f"{dtype.kind}{dtype.itemsize}"
+    return {"b1": "u1", "f2": "f4"}.get(kind, kind if kind in NAMES else "f8")

@@ -1,0 +1,65 @@
+"""Recordings: a SOURCE is recognised by what it is and opened as a sequence of frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, cast
+
+from stereo_ore.errors import SourceError
+from stereo_ore.io.recordings.bag import BAG_SUFFIXES, BagOptions, is_bag_folder, open_bag
+from stereo_ore.io.recordings.base import Source
+from stereo_ore.io.recordings.folder import open_folder, open_two_files
+from stereo_ore.io.recordings.images import IMAGE_SUFFIXES
+from stereo_ore.io.recordings.side_by_side import open_side_by_side_image
+from stereo_ore.io.recordings.video import VIDEO_SUFFIXES, open_video
+
+__all__ = ["BagOptions", "Source", "limit_pixels", "open_source", "open_two_files"]
+
+Opener = Callable[[Path, BagOptions], Source]
+
+FILE_OPENERS: dict[str, Opener] = {
+    **dict.fromkeys(IMAGE_SUFFIXES, lambda path, _: open_side_by_side_image(path)),
+    **dict.fromkeys(VIDEO_SUFFIXES, lambda path, _: open_video(path)),
+    **dict.fromkeys(BAG_SUFFIXES, open_bag),
+}
+"""Openers by file suffix; to add a container format, add its line here."""
+
+
+def open_source(path: Path, options: BagOptions = BagOptions()) -> Source:  # noqa: B008 - immutable
+    """Open a recording: a folder in any known layout, or a file; `options` matter for bags.
+
+    Raises
+    ------
+    SourceError
+        When there is nothing there or the layout is none of the known ones, saying what was found.
+    """
+    if not path.exists():
+        raise SourceError("no such file or folder", file=path, remedy="Check the path")
+    if path.is_dir():
+        return open_bag(path, options) if is_bag_folder(path) else open_folder(path)
+    suffix = path.suffix.lower()
+    if suffix in (".svo", ".svo2"):
+        raise SourceError(
+            "an SVO recording can only be read by Stereolabs' own software",
+            file=path,
+            remedy="Export it where the ZED SDK is: ZED_SVO_Export <file.svo> <folder> 4; then run on the folder",
+        )
+    if suffix not in FILE_OPENERS:
+        raise SourceError(f"files ending in {suffix!r} are not known", file=path, remedy=f"Known: {known_layouts()}")
+    return FILE_OPENERS[suffix](path, options)
+
+
+def limit_pixels(source: Source, max_pixels: int) -> Source:
+    """The same recording, whose pictures of more than `max_pixels` are refused before they are decoded."""
+    return cast(Source, replace(cast(Any, source), max_pixels=max_pixels))
+
+
+def known_layouts() -> str:
+    """One sentence that lists what a SOURCE can be."""
+    return (
+        "a folder with left/ and right/; a folder with left*.png right*.png (also *_left/_right, *L/*R); a folder that "
+        "holds left.png right.png, or a folder of such folders; a side-by-side image or a folder of them; "
+        "a side-by-side video; a ROS 1 or ROS 2 bag or MCAP file"
+    )

@@ -1,0 +1,112 @@
+"""ROS messages as this program's types: Image, CompressedImage, CameraInfo (version 1 and 2 of ROS)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from stereo_ore.config.models import MAX_PIXELS
+from stereo_ore.errors import FrameError
+from stereo_ore.io.calibration import ros
+from stereo_ore.io.calibration.formats import Hints
+from stereo_ore.io.recordings.images import Image, as_bgr, check_pixels, decode_image
+from stereo_ore.types import F64, StereoCalibration
+
+IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+
+_ENCODINGS: dict[str, tuple[str, int, int | None]] = {  # element type, channels, conversion to BGR
+    "mono8": ("u1", 1, None),
+    "8uc1": ("u1", 1, None),
+    "mono16": ("u2", 1, None),
+    "16uc1": ("u2", 1, None),
+    "bgr8": ("u1", 3, None),
+    "8uc3": ("u1", 3, None),
+    "bgr16": ("u2", 3, None),
+    "rgb8": ("u1", 3, cv2.COLOR_RGB2BGR),
+    "rgb16": ("u2", 3, cv2.COLOR_RGB2BGR),
+    "bgra8": ("u1", 4, None),
+    "8uc4": ("u1", 4, None),
+    "rgba8": ("u1", 4, cv2.COLOR_RGBA2BGR),
+    # ROS names a Bayer pattern by its first row, OpenCV by the pixels around (1, 1): the two meet crosswise.
+    "bayer_rggb8": ("u1", 1, cv2.COLOR_BayerBG2BGR),
+    "bayer_bggr8": ("u1", 1, cv2.COLOR_BayerRG2BGR),
+    "bayer_gbrg8": ("u1", 1, cv2.COLOR_BayerGR2BGR),
+    "bayer_grbg8": ("u1", 1, cv2.COLOR_BayerGB2BGR),
+    "yuv422": ("u1", 2, cv2.COLOR_YUV2BGR_UYVY),
+    "uyvy": ("u1", 2, cv2.COLOR_YUV2BGR_UYVY),
+    "yuv422_yuy2": ("u1", 2, cv2.COLOR_YUV2BGR_YUY2),
+    "yuyv": ("u1", 2, cv2.COLOR_YUV2BGR_YUY2),
+}
+
+
+def image(message: Any, path: Path, max_pixels: int = MAX_PIXELS) -> Image:
+    """The picture of an Image or CompressedImage: (H, W, 3) BGR, uint8 or uint16; `path` is for messages.
+
+    Raises
+    ------
+    FrameError
+        When the encoding is unknown or the data do not fit the size.
+    """
+    if hasattr(message, "format"):
+        return decode_image(bytes(message.data), path, max_pixels)
+    known = _ENCODINGS.get(message.encoding.lower())
+    if known is None:
+        raise FrameError(
+            f"image encoding {message.encoding!r} is not known",
+            code="UNREADABLE_IMAGE",
+            file=path,
+            remedy=f"Known: {', '.join(_ENCODINGS)}",
+        )
+    check_pixels(int(message.width), int(message.height), path, max_pixels)
+    kind, channels, conversion = known
+    pixels = _unpack(message, np.dtype(kind), channels, path)
+    return as_bgr(pixels if conversion is None else cv2.cvtColor(pixels, conversion), path)
+
+
+def _unpack(message: Any, kind: np.dtype[Any], channels: int, path: Path) -> Image:
+    """(H, W) or (H, W, channels) array of an Image, row padding removed."""
+    height, width, step = int(message.height), int(message.width), int(message.step)
+    row = width * channels * kind.itemsize
+    data = np.frombuffer(bytes(message.data), np.uint8)
+    if height < 1 or width < 1 or step < row or len(data) < height * step:
+        raise FrameError(
+            f"{width}×{height} {message.encoding} with a step of {step} does not fit its {len(data)} bytes",
+            code="TRUNCATED_IMAGE",
+            file=path,
+        )
+    rows = np.ascontiguousarray(data[: height * step].reshape(height, step)[:, :row])
+    pixels = rows.view(kind.newbyteorder(">" if message.is_bigendian else "<")).astype(kind)
+    return pixels.reshape((height, width) if channels == 1 else (height, width, channels))
+
+
+def stamp_ns(message: Any) -> int:
+    """The header's stamp [ns]; 0 where the driver left it empty."""
+    stamp = message.header.stamp
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def calibration(left: Any, right: Any, rectified: bool, path: Path) -> StereoCalibration:
+    """The calibration in the CameraInfo of both eyes, for rectified or raw images.
+
+    Raises
+    ------
+    CalibrationError
+        When the cameras were never calibrated or contradict each other.
+    """
+    hints = Hints(images="rectified" if rectified else "raw")
+    return ros.combine((path, path), _eye(left), _eye(right), hints)
+
+
+def _eye(info: Any) -> dict[str, Any]:
+    fields = {letter: matrix(info, letter) for letter in "KDRP"}
+    size = {"width": float(info.width), "height": float(info.height)}
+    return fields | size | {"model": info.distortion_model or "plumb_bob"}
+
+
+def matrix(info: Any, letter: str) -> F64:
+    """K, D, R or P of a CameraInfo, flat; ROS 1 names them by capitals, ROS 2 by small letters."""
+    return np.asarray(getattr(info, letter if hasattr(info, letter) else letter.lower()), np.float64)

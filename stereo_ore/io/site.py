@@ -1,0 +1,249 @@
+"""The site file: where the camera looks, the arm, the grizzly; brought into the camera frame."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import yaml
+from pydantic import BeforeValidator, Field
+
+from stereo_ore.config.fields import Number, Section
+from stereo_ore.config.validation import validate
+from stereo_ore.errors import ConfigError
+from stereo_ore.io.yaml_io import load_yaml
+from stereo_ore.transforms import inverse, nearest_rotation, rotate, rotation_fault
+from stereo_ore.types import F64, Plane, Site, Volume
+
+FORMAT = "stereo_ore/site"
+FARTHEST_ARM_M = 100.0
+TYPED_TOLERANCE = 1e-3
+"""A rotation typed with three to four decimals is made exact; what is further off is an error."""
+
+
+Length = Annotated[Number, Field(gt=0, lt=50)]
+Vector = tuple[Number, Number, Number]
+Row = tuple[Number, Number, Number, Number]
+Frame = Literal["arm", "camera"]
+
+
+class _Box(Section):
+    min_m: Vector
+    max_m: Vector
+
+
+class _Volume(_Box):
+    frame: Frame
+
+
+class _Plane(Section):
+    frame: Frame
+    normal: Vector
+    offset_m: Number
+
+
+def _plane_or_auto(value: object) -> object:
+    """``auto`` leaves the plane to be found."""
+    return None if value == "auto" else value
+
+
+class _Grizzly(Section):
+    opening_m: Length | None = None
+    bar_width_m: Length | None = None
+    plane: Annotated[_Plane | None, BeforeValidator(_plane_or_auto)] = None
+
+
+class HandEyeRecord(Section):
+    """How `arm_from_camera` was found, and how well it fits; for the reader of the file."""
+
+    method: str
+    used: int
+    dropped: tuple[str, ...] = ()
+    rms_mm: Number
+    max_mm: Number
+
+
+class _File(Section):
+    format: Literal["stereo_ore/site"]
+    version: Literal[1]
+    arm_from_camera: tuple[Row, Row, Row, Row] | None = None
+    working_volume: _Volume | None = None
+    grizzly: _Grizzly = _Grizzly()
+    background: str | None = None
+    reach: _Box | None = None
+    hand_eye: HandEyeRecord | None = None
+
+
+def load_site(path: str | Path) -> Site:
+    """The site in a YAML file, with plane and volume in the camera frame.
+
+    Raises
+    ------
+    ConfigError
+        With all faults of the file at once: unknown keys with the nearest valid one, a transform that is
+        none, a box that is empty or behind the camera, a plane behind the camera or away from the box.
+    """
+    path = Path(path)
+    file = validate(_File, load_yaml(path, ConfigError), path, ConfigError)
+    faults = _faults(file)
+    site = None if faults else _site(file, path)
+    faults = faults or _view_faults(site)
+    if faults or site is None:
+        raise ConfigError(
+            faults[0] if len(faults) == 1 else f"{len(faults)} faults:\n  " + "\n  ".join(faults), file=path
+        )
+    return site
+
+
+def _faults(file: _File) -> list[str]:
+    """What is wrong with single entries."""
+    found = []
+    if file.arm_from_camera is not None:
+        T = np.array(file.arm_from_camera)
+        if fault := rotation_fault(T[:3, :3], TYPED_TOLERANCE):
+            found.append(f"arm_from_camera: the upper left 3×3 part {fault}")
+        if not np.array_equal(T[3], (0, 0, 0, 1)):
+            found.append(f"arm_from_camera: the last row must be [0, 0, 0, 1], not {T[3].tolist()}")
+        if np.abs(T[:3, 3]).max() > FARTHEST_ARM_M:
+            found.append(f"arm_from_camera: the camera is {T[:3, 3].tolist()} m away; millimetres given for metres?")
+    for name, box in (("working_volume", file.working_volume), ("reach", file.reach)):
+        if box and not all(low < high for low, high in zip(box.min_m, box.max_m, strict=True)):
+            found.append(f"{name}: each of min_m {list(box.min_m)} must be less than max_m {list(box.max_m)}")
+    if file.grizzly.plane and not any(file.grizzly.plane.normal):
+        found.append("grizzly.plane.normal: must not be zero")
+    for name, part in (("working_volume", file.working_volume), ("grizzly.plane", file.grizzly.plane)):
+        if part and part.frame == "arm" and file.arm_from_camera is None:
+            found.append(f"{name}: is in the arm frame, but arm_from_camera is not given")
+    return found
+
+
+def _site(file: _File, path: Path) -> Site:
+    T_arm_camera = None if file.arm_from_camera is None else _rigid(np.array(file.arm_from_camera))
+    grizzly, box, reach = file.grizzly, file.working_volume, file.reach
+    return Site(
+        T_arm_camera=T_arm_camera,
+        volume=None if box is None else Volume(_to(box.frame, T_arm_camera), np.array(box.min_m), np.array(box.max_m)),
+        plane=None if grizzly.plane is None else _camera_plane(grizzly.plane, T_arm_camera),
+        opening_m=grizzly.opening_m,
+        bar_width_m=grizzly.bar_width_m,
+        background=None if file.background is None else path.parent / file.background,
+        reach_min_m=None if reach is None else np.array(reach.min_m),
+        reach_max_m=None if reach is None else np.array(reach.max_m),
+    )
+
+
+def _rigid(T: F64) -> F64:
+    """The transform with an exact rotation; one that is exact stays as it is, to the last bit."""
+    if rotation_fault(T[:3, :3], 1e-9):
+        T[:3, :3] = nearest_rotation(T[:3, :3])
+    return T
+
+
+def _to(frame: Frame, T_arm_camera: F64 | None) -> F64:
+    """``T_frame_camera``."""
+    return np.eye(4) if frame == "camera" or T_arm_camera is None else T_arm_camera
+
+
+def _camera_plane(plane: _Plane, T_arm_camera: F64 | None) -> Plane:
+    """The plane in the camera frame: unit normal, towards the camera (the origin)."""
+    T = _to(plane.frame, T_arm_camera)
+    length = float(np.linalg.norm(plane.normal))
+    length = 1.0 if abs(length - 1) < 1e-9 else length  # a unit normal stays as it is written
+    normal, offset = np.array(plane.normal) / length, plane.offset_m / length
+    offset -= float(normal @ T[:3, 3])
+    normal = rotate(inverse(T), normal)
+    return Plane(-normal, -offset) if offset > 0 else Plane(normal, offset)
+
+
+def _view_faults(site: Site | None) -> list[str]:
+    """What the camera can't see."""
+    found: list[str] = []
+    if site is None:
+        return found
+    if site.plane is not None and site.plane.normal[2] >= 0:
+        found.append("grizzly.plane: lies behind the camera; check the sign of offset_m, and arm_from_camera")
+    if site.volume is not None:
+        corners = site.volume.corners
+        if corners[:, 2].max() <= 0:
+            found.append("working_volume: lies behind the camera; check arm_from_camera and the frame")
+        elif site.plane is not None and site.plane.height(corners).max() < 0:
+            found.append("working_volume: lies below the plane of the bar tops; check grizzly.plane")
+    return found
+
+
+def save_site(site: Site, path: str | Path, hand_eye: HandEyeRecord | None = None) -> None:
+    """Write a site file that `load_site` reads back as the same site.
+
+    The plane is written in the camera frame, the volume in the frame of its box.
+
+    Raises
+    ------
+    ConfigError
+        When the volume is a box of neither the camera nor the arm frame.
+    """
+    path = Path(path)
+    document: dict[str, Any] = {"format": FORMAT, "version": 1}
+    if site.T_arm_camera is not None:
+        document["arm_from_camera"] = site.T_arm_camera.tolist()
+    if site.volume is not None:
+        document["working_volume"] = {"frame": _frame_of(site)} | _box(site.volume.min_m, site.volume.max_m)
+    document["grizzly"] = _grizzly(site)
+    if site.background is not None:
+        document["background"] = _relative(site.background, path.parent)
+    if site.reach_min_m is not None and site.reach_max_m is not None:
+        document["reach"] = _box(site.reach_min_m, site.reach_max_m)
+    if hand_eye is not None:
+        document["hand_eye"] = hand_eye.model_dump(mode="json")
+    path.write_text(yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=120), encoding="utf-8")
+
+
+def save_arm(T_arm_camera: F64, hand_eye: HandEyeRecord, path: str | Path, base: str | Path | None = None) -> None:
+    """Write a site file with a new `arm_from_camera`; the rest is that of `base`, or unknown.
+
+    What `base` gives in the arm frame stays where it is in the arm frame.
+
+    Raises
+    ------
+    ConfigError
+        When `base` is no site file, or does not fit the new transform.
+    """
+    path = Path(path)
+    document = {"format": FORMAT, "version": 1}
+    if base is not None:
+        document = load_yaml(Path(base), ConfigError)
+        validate(_File, document, base, ConfigError)
+    document |= {"arm_from_camera": T_arm_camera.tolist(), "hand_eye": hand_eye.model_dump(mode="json")}
+    file = validate(_File, document, path, ConfigError)
+    if faults := _faults(file) or _view_faults(_site(file, path)):
+        raise ConfigError("; ".join(faults), file=base, remedy="Was the calibration made with this arm and camera?")
+    path.write_text(yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=120), encoding="utf-8")
+
+
+def _grizzly(site: Site) -> dict[str, Any]:
+    sizes = {"opening_m": site.opening_m, "bar_width_m": site.bar_width_m}
+    section: dict[str, Any] = {key: value for key, value in sizes.items() if value is not None}
+    plane = site.plane
+    section["plane"] = (
+        "auto" if plane is None else {"frame": "camera", "normal": plane.normal.tolist(), "offset_m": plane.offset}
+    )
+    return section
+
+
+def _box(low: F64, high: F64) -> dict[str, Any]:
+    return {"min_m": low.tolist(), "max_m": high.tolist()}
+
+
+def _relative(file: Path, folder: Path) -> str:
+    """The path as seen from the site file, so that both can move together."""
+    absolute, base = file.resolve(), folder.resolve()
+    return str(absolute.relative_to(base) if absolute.is_relative_to(base) else absolute)
+
+
+def _frame_of(site: Site) -> Frame:
+    T = site.volume.T_box_camera if site.volume is not None else np.eye(4)
+    if np.array_equal(T, np.eye(4)):
+        return "camera"
+    if site.T_arm_camera is not None and np.array_equal(T, site.T_arm_camera):
+        return "arm"
+    raise ConfigError("the working volume is a box of neither the camera nor the arm frame", key="working_volume")

@@ -1,0 +1,1 @@
+"""The laboratory: made-up scenes, judges, benchmarks, training."""

@@ -1,0 +1,142 @@
+"""Matching against truth, beside OpenCV's own with its sample settings, in one process."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from stereo_ore.config import MatchingConfig
+from stereo_ore.lab.bench.stereo_sets import StereoSet
+from stereo_ore.lab.bench.tables import table
+from stereo_ore.stages import matching
+from stereo_ore.types import F32, F64, Mask
+
+Matcher = Callable[[StereoSet], F32 | F64]
+
+PLAIN_DISPARITIES, PLAIN_WIDTH = 128, 1280
+"""What plain 3WAY searches over the whole image, at this width: the reference of time for a matcher with a site."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One matcher on one set: shares in % of the pixels with truth, missing ones counted as bad; times in ms.
+
+    `scope` is "all", "seen" (by both eyes) or "ore". `density` is the share with a disparity, `bad2_found` the share
+    of these that is wrong by more than 2 px, `bias` [px] the median signed error of what is right to 1 px.
+    """
+
+    set: str
+    matcher: str
+    scope: str
+    density: float
+    bad1: float
+    bad2: float
+    bad2_found: float
+    median: float
+    bias: float
+    ms: float
+
+
+def ours(data: StereoSet, config: MatchingConfig = MatchingConfig()) -> F32:  # noqa: B008 - frozen
+    """All of this program's matching: a look at the range, both directions, refinement, cues."""
+    region = matching.narrow(data.pair, data.region, data.volume, config)
+    return matching.match(data.pair, region, config).values
+
+
+def opencv_sgbm(data: StereoSet) -> F64:
+    """``StereoSGBM`` as OpenCV's ``stereo_match.cpp`` sets it up; its lost left border is not made up for."""
+    area = 3 * 3 * 3
+    matcher = cv2.StereoSGBM.create(
+        *_range(data), 3, 8 * area, 32 * area, 1, 63, 10, 100, 32, cv2.STEREO_SGBM_MODE_SGBM
+    )
+    return _pixels(matcher.compute(data.pair.left, data.pair.right), data.region.min_disparity)
+
+
+def opencv_wls(data: StereoSet) -> F64:
+    """``StereoSGBM`` and the weighted least squares filter as OpenCV's ``disparity_filtering.cpp`` sets them up."""
+    area = 3 * 3
+    matcher = cv2.StereoSGBM.create(
+        *_range(data), 3, 24 * area, 96 * area, 0, 63, 0, 0, 0, cv2.STEREO_SGBM_MODE_SGBM_3WAY
+    )
+    wls = cv2.ximgproc.createDisparityWLSFilter(matcher)
+    wls.setLambda(8000.0)
+    wls.setSigmaColor(1.5)
+    left = matcher.compute(data.pair.left, data.pair.right)
+    right = cv2.ximgproc.createRightMatcher(matcher).compute(data.pair.right, data.pair.left)
+    return _pixels(wls.filter(left, data.pair.left, disparity_map_right=right), data.region.min_disparity)
+
+
+def opencv_3way(data: StereoSet) -> F64:
+    """Plain 3WAY on grey images over the whole image, 128 disparities at 1280 px: the reference of time."""
+    count = 16 * -(-data.pair.rig.width * PLAIN_DISPARITIES // PLAIN_WIDTH // 16)
+    grey = [cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) for image in (data.pair.left, data.pair.right)]
+    matcher = cv2.StereoSGBM.create(0, count, 5, 200, 800, 1, 31, 10, 100, 32, cv2.STEREO_SGBM_MODE_SGBM_3WAY)
+    return _pixels(matcher.compute(*grey), 0)
+
+
+MATCHERS: dict[str, Matcher] = {"stereo-ore": ours, "SGBM": opencv_sgbm, "SGBM+WLS": opencv_wls, "3WAY": opencv_3way}
+
+
+def judge_all(sets: Iterable[StereoSet], repeats: int = 3) -> Iterator[Row]:
+    """Every matcher on every set, in turns, so that a busy machine slows all of them alike."""
+    for data in sets:
+        found = {name: matcher(data) for name, matcher in MATCHERS.items()}
+        times: dict[str, list[float]] = {name: [] for name in MATCHERS}
+        for _ in range(repeats):
+            for name, matcher in MATCHERS.items():
+                start = time.perf_counter()
+                matcher(data)
+                times[name].append(1000 * (time.perf_counter() - start))
+        for name, disparity in found.items():
+            yield from _rows(data, name, disparity, float(np.median(times[name])))
+
+
+def _rows(data: StereoSet, matcher: str, disparity: F32 | F64, ms: float) -> Iterator[Row]:
+    known = np.isfinite(data.truth)
+    scopes: dict[str, Mask | None] = {"all": known, "seen": data.seen, "ore": data.ore}
+    for scope, where in scopes.items():
+        if where is not None and (where & known).any():
+            error = np.asarray(disparity - data.truth, float)[where & known]
+            yield Row(data.name, matcher, scope, **_quality(error), ms=ms)
+
+
+def _quality(error: F64) -> dict[str, float]:
+    """Density, bad-1, bad-2, bad-2 of what was found, median and bias of signed errors, NaN = missing."""
+    found = np.abs(error[np.isfinite(error)])
+    right = error[np.abs(error) <= 1]
+    return {
+        "density": 100 * len(found) / len(error),
+        "bad1": 100 * float((~(np.abs(error) <= 1)).mean()),
+        "bad2": 100 * float((~(np.abs(error) <= 2)).mean()),
+        "bad2_found": 100 * float((found > 2).mean()) if len(found) else float("nan"),
+        "median": float(np.median(found)) if len(found) else float("nan"),
+        "bias": float(np.median(right)) if len(right) else float("nan"),
+    }
+
+
+def markdown(rows: Sequence[Row]) -> str:
+    """One table a scope."""
+    parts = []
+    for scope, title in (("all", "All pixels with truth"), ("seen", "Pixels that both eyes see"), ("ore", "Ore")):
+        chosen = [row for row in rows if row.scope == scope]
+        if chosen:
+            head = ["set", "matcher", "density %", "bad-1 %", "bad-2 %", "bad-2 of found %", "median px", "ms"]
+            parts.append(f"**{title}** (missing counts as bad)\n\n{table(head, [_cells(row) for row in chosen])}")
+    return "\n\n".join(parts) + "\n"
+
+
+def _cells(row: Row) -> list[str]:
+    shares = [f"{value:.1f}" for value in (row.density, row.bad1, row.bad2, row.bad2_found)]
+    return [row.set, row.matcher, *shares, f"{row.median:.3f}", f"{row.ms:.0f}"]
+
+
+def _range(data: StereoSet) -> tuple[int, int]:
+    return data.region.min_disparity, data.region.num_disparities
+
+
+def _pixels(fixed: cv2.typing.MatLike, lowest: int) -> F64:
+    return np.where(fixed >= 16 * lowest, fixed / 16.0, np.nan)

@@ -1,0 +1,166 @@
+"""Which consumers get the targets: the sinks file, and what of it may leave this machine."""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+import stat
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from stereo_ore.config.validation import validate
+from stereo_ore.errors import ConfigError
+from stereo_ore.io.yaml_io import load_yaml, read_text
+from stereo_ore.plant.sinks.base import TargetSink
+
+LOOPBACK = "127.0.0.1"
+Port = Annotated[int, Field(ge=1, le=65535)]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class OpcUaSettings(_Section):
+    """An OPC UA server; beyond this machine only with certificate, key and users."""
+
+    host: str = LOOPBACK
+    port: Port = 4840
+    certificate: Path | None = None
+    private_key: Path | None = None
+    trusted: Path | None = None
+    users: Path | None = None
+
+
+class MqttSettings(_Section):
+    """A broker; beyond this machine only with TLS and a user."""
+
+    host: str = LOOPBACK
+    port: Port = 1883
+    topic: str = Field("stereo_ore/targets", min_length=1, pattern=r"^[^+#\x00]+$")
+    authority: Path | None = None
+    users: Path | None = None
+
+
+class TcpSettings(_Section):
+    """JSON lines; they are neither encrypted nor guarded, so they never leave this machine."""
+
+    host: str = LOOPBACK
+    port: Annotated[int, Field(ge=0, le=65535)] = 5020
+
+
+class SinksSettings(_Section):
+    """All consumers; a section that is not given is off."""
+
+    format: Literal["stereo_ore/sinks"] = "stereo_ore/sinks"
+    version: Literal[1] = 1
+    opcua: OpcUaSettings | None = None
+    mqtt: MqttSettings | None = None
+    tcp: TcpSettings | None = None
+
+
+def load_sinks(path: Path | None, **ports: int | None) -> SinksSettings:
+    """Settings of a file (None: no consumer), with consumers on this machine added by their port.
+
+    Raises
+    ------
+    ConfigError
+        For unknown keys, values out of range, and addresses beyond this machine without their safeguards.
+    """
+    data: dict[str, Any] = {} if path is None else load_yaml(path, ConfigError)
+    given = {name: {"host": LOOPBACK, "port": port} for name, port in ports.items() if port is not None}
+    origin = path or Path("command line")
+    settings = validate(SinksSettings, {**data, **given}, origin, ConfigError)
+    settings = _resolve(settings, path.parent if path else Path())
+    _check_addresses(settings, origin)
+    return settings
+
+
+def is_loopback(host: str) -> bool:
+    """True for an address that only this machine can reach."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def _resolve(settings: SinksSettings, folder: Path) -> SinksSettings:
+    """Paths as seen from the file that names them."""
+
+    def section(part: Any) -> Any:
+        paths = {name: folder / value for name, value in part if isinstance(value, Path)}
+        return part.model_copy(update=paths)
+
+    return settings.model_copy(update={name: section(part) for name, part in settings if isinstance(part, _Section)})
+
+
+def _check_addresses(settings: SinksSettings, origin: Path) -> None:
+    needs = {"opcua": ("certificate", "private_key", "users"), "mqtt": ("authority", "users"), "tcp": None}
+    for name, fields in needs.items():
+        part = getattr(settings, name)
+        if part is None or is_loopback(part.host):
+            continue
+        problem = f"{part.host} is beyond this machine"
+        if fields is None:
+            remedy = "JSON lines are not guarded: use 127.0.0.1 and a tunnel, or OPC UA"
+            raise ConfigError(problem, file=origin, key=f"{name}.host", remedy=remedy)
+        if missing := [field for field in fields if getattr(part, field) is None]:
+            remedy = f"Give {', '.join(f'{name}.{field}' for field in missing)}, or use 127.0.0.1"
+            raise ConfigError(problem, file=origin, key=f"{name}.host", remedy=remedy)
+    if settings.opcua and (settings.opcua.certificate is None) != (settings.opcua.private_key is None):
+        raise ConfigError("certificate and private_key belong together", file=origin, key="opcua", remedy="Give both")
+    if settings.opcua and settings.opcua.users and settings.opcua.certificate is None:
+        remedy = "Give opcua.certificate and opcua.private_key"
+        raise ConfigError("passwords need encryption", file=origin, key="opcua.users", remedy=remedy)
+
+
+def read_users(path: Path) -> dict[str, str]:
+    """Passwords by user from lines ``name:password``; the file must be readable by its owner only."""
+    text = read_text(path, ConfigError)
+    if os.name == "posix" and path.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
+        raise ConfigError("holds passwords but others may read it", file=path, remedy=f"chmod 600 {path}")
+    users: dict[str, str] = {}
+    for number, line in enumerate(text.splitlines(), 1):
+        name, colon, password = line.partition(":")
+        if line.strip() and not (name and colon and password):
+            raise ConfigError(f"line {number} is not name:password", file=path, remedy="One user a line")
+        if line.strip():
+            users[name] = password
+    if not users:
+        raise ConfigError("names no user", file=path, remedy="One line a user: name:password")
+    return users
+
+
+def open_sinks(settings: SinksSettings) -> list[TargetSink]:
+    """A sink for each consumer in the settings, not yet entered."""
+    return [make(part) for name, make in MAKERS.items() if (part := getattr(settings, name)) is not None]
+
+
+def _opcua(settings: OpcUaSettings) -> TargetSink:
+    from stereo_ore.plant.sinks.opcua import OpcUaSecurity, OpcUaSink
+
+    security = None
+    if settings.certificate and settings.private_key:
+        users = read_users(settings.users) if settings.users else None
+        security = OpcUaSecurity(settings.certificate, settings.private_key, settings.trusted, users)
+    return OpcUaSink(settings.host, settings.port, security)
+
+
+def _mqtt(settings: MqttSettings) -> TargetSink:
+    from stereo_ore.plant.sinks.mqtt import MqttLogin, MqttSink
+
+    user, password = next(iter(read_users(settings.users).items())) if settings.users else (None, None)
+    return MqttSink(settings.host, settings.port, settings.topic, MqttLogin(user, password, settings.authority))
+
+
+def _tcp(settings: TcpSettings) -> TargetSink:
+    from stereo_ore.plant.sinks.tcp import TcpSink
+
+    return TcpSink(settings.host, settings.port)
+
+
+MAKERS: dict[str, Callable[[Any], TargetSink]] = {"opcua": _opcua, "mqtt": _mqtt, "tcp": _tcp}
+"""To add a consumer: its section in `SinksSettings` and its line here."""

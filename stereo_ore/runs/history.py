@@ -1,0 +1,100 @@
+"""What only a frame's predecessors tell: an image that is not new, and a view that has become worse.
+
+An ordered fold over the lines of a run, in the parent process: the same records come out for any number of workers,
+and a run that is continued starts from what was written before.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from stereo_ore.config import HealthConfig
+from stereo_ore.record import Json, to_line
+from stereo_ore.runs.folder import FrameLines
+from stereo_ore.types import U8, FrameResult, Reason
+
+FEWEST_GOOD = 5
+"""Good frames that are needed to say what is usual."""
+
+
+def fingerprints(result: FrameResult) -> list[str] | None:
+    """A short digest of the pixels of each eye; None for a frame without images."""
+    return None if result.pair is None else [_digest(result.pair.left), _digest(result.pair.right)]
+
+
+def _digest(image: U8) -> str:
+    return hashlib.blake2b(np.ascontiguousarray(image).data, digest_size=8).hexdigest()
+
+
+class Watch:
+    """Judges each frame of a run by those before it.
+
+    Parameters
+    ----------
+    config : HealthConfig
+        Limits.
+    earlier : iterable of FrameLines
+        Lines of the run that is continued, in order, as they were written.
+    """
+
+    def __init__(self, config: HealthConfig, earlier: Iterable[FrameLines] = ()) -> None:
+        self._config = config
+        self._good: deque[float] = deque(maxlen=config.history)
+        self._images: list[str] | None = None
+        for lines in earlier:
+            self._remember(json.loads(lines.record), _images(lines))
+
+    def judge(self, lines: FrameLines) -> FrameLines:
+        """The lines of the next frame; its record is degraded, without targets, where its predecessors say so."""
+        record, images = json.loads(lines.record), _images(lines)
+        reasons = () if record["status"] == "failed" else (*self._frozen(images), *self._fallen(record))
+        if reasons:
+            record = _degraded(record, reasons)
+            lines = replace(lines, record=to_line(record))
+        self._remember(record, images)
+        return lines
+
+    def _remember(self, record: Json, images: list[str] | None) -> None:
+        self._images = images or self._images
+        if record["status"] in ("ok", "empty"):
+            self._good.append(_valid_share(record))
+
+    def _frozen(self, images: list[str] | None) -> Iterator[Reason]:
+        if not (self._config.refuse_frozen and images and self._images):
+            return
+        same = [eye for eye, new, old in zip(("left", "right"), images, self._images, strict=True) if new == old]
+        if same:
+            text = f"the image of the {' and of the '.join(same)} eye is that of the frame before, pixel for pixel"
+            yield Reason("FRAME_FROZEN", f"{text}: does the camera still deliver?")
+
+    def _fallen(self, record: Json) -> Iterator[Reason]:
+        if len(self._good) < FEWEST_GOOD:
+            return
+        share, usual = _valid_share(record), median(self._good)
+        if share < self._config.min_of_usual * usual:
+            text = f"{100 * share:.0f} % of the pixels have a disparity, {100 * usual:.0f} % are usual"
+            yield Reason("VALID_SHARE_FELL", f"{text}: is there dirt on a lens, dust, or a lamp out?")
+
+
+def _images(lines: FrameLines) -> list[str] | None:
+    images: list[str] | None = json.loads(lines.inputs).get("images")
+    return images
+
+
+def _valid_share(record: Json) -> float:
+    counts = record["counts"]
+    return float(counts["disparities"] / max(counts["pixels"], 1))
+
+
+def _degraded(record: Json, reasons: Iterable[Reason]) -> dict[str, Any]:
+    new = [{"code": reason.code, "detail": reason.detail} for reason in reasons]
+    counts = record["counts"] | {"targets": 0}
+    return record | {"status": "degraded", "reasons": record["reasons"] + new, "counts": counts, "targets": []}

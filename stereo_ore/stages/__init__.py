@@ -1,0 +1,1 @@
+"""The stages of the chain: each one pure function, none knows another."""

@@ -1,0 +1,58 @@
+"""The empty screen in a run: where its plane is, whether the camera still stands where it did, what is new on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stereo_ore.config import Config
+from stereo_ore.stages import cloud, grizzly, matching
+from stereo_ore.types import Background, Disparity, Grizzly, PointCloud, RectifiedPair, Region, Rig, Site, Surface
+
+
+@dataclass(frozen=True)
+class EmptyScreen:
+    """The model of the empty screen, and the grizzly found in it."""
+
+    background: Background
+    grizzly: Grizzly
+
+
+def load(rig: Rig, region: Region, site: Site, config: Config) -> EmptyScreen | None:
+    """The site's empty screen, or None when the site names none.
+
+    Raises
+    ------
+    ConfigError
+        When the file can't be used, or is of another image size.
+    FrameError
+        When no screen is found in it.
+    """
+    if site.background is None:
+        return None
+    background = matching.background.load(site.background)
+    matching.background.check_size(background, rig.height, rig.width)
+    surface = _surface(background, rig, region, site, config)
+    found = grizzly.find(surface, site, config.grizzly)
+    return EmptyScreen(background, found if site.plane is not None else replace(found, source="background"))
+
+
+def new_on(empty: EmptyScreen, disparity: Disparity, surface: Surface) -> Surface:
+    """The surface without what the empty screen showed already.
+
+    What hides in the shadows of its bars was not measured then; it stays, for its height to be judged.
+    """
+    height, width = surface.xyz.shape[:2]
+    crop = (slice(surface.y0, surface.y0 + height), slice(surface.x0, surface.x0 + width))
+    old = matching.background.shows_screen(empty.background, disparity)[crop]
+    return replace(surface, xyz=np.where(old[..., None], np.float32(np.nan), surface.xyz))
+
+
+def _surface(background: Background, rig: Rig, region: Region, site: Site, config: Config) -> Surface:
+    """The empty screen in metres; its colours were not kept."""
+    black = np.zeros((rig.height, rig.width, 3), np.uint8)
+    pair = RectifiedPair(black, black, rig)
+    disparity = Disparity(background.disparity, region)
+    points: PointCloud = cloud.reproject(disparity, pair, site.volume, config.cloud, config.matching.sigma_px)
+    return cloud.surface(points, np.ones(len(points), bool), pair, region)

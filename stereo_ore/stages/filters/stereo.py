@@ -1,0 +1,110 @@
+"""Evidence of a stereo cloud: what the matcher knew of each voxel, and neighbours where that leaves a doubt."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stereo_ore.stages.filters.evidence import ODDS_FEATURES, PLANE_FEATURES, Rows, mean_distances, mean_of
+from stereo_ore.stages.filters.neighbours import columns, nearest
+from stereo_ore.stages.filters.surface import LEAST, fit_planes, log_odds
+from stereo_ore.threads import map_rows
+from stereo_ore.types import CUES, F32, VoxelCloud
+
+FLOORS = {"spread_px": 0.05, "lr_diff_px": 0.03, "texture": 0.3, "photometric": 0.03, "median_diff_px": 0.03}
+"""Added before a cue's logarithm."""
+
+DISPARITY_STRETCH = 0.3
+"""Image space [px]: one standard deviation of depth noise counts as this many pixels across."""
+
+SURE = 0.12
+"""Below this probability of either verdict a first pass by cues alone is believed."""
+
+
+def has_cues(voxels: VoxelCloud) -> bool:
+    """True for a cloud that a matcher made and spoke about."""
+    return set(CUES) <= set(voxels.cues) and bool((voxels.sigma_z > 0).all() and (voxels.pixel_m > 0).all())
+
+
+@dataclass(frozen=True)
+class StereoEvidence:
+    """Of a cloud with cues: points in image space in voxels (M, 3), cue features (M, F), neighbours wanted."""
+
+    points: F32
+    cues: F32
+    k: int
+
+    names = (
+        *CUES, "points", "voxel in pixels", "depth noise in voxels",
+        "mean distance, K = 3", "mean distance, K = 8", "mean distance, all K", *PLANE_FEATURES, *ODDS_FEATURES,
+    )  # fmt: skip
+
+    @property
+    def prior(self) -> F32:
+        """Nothing is known before the cues are looked at."""
+        return np.full(len(self.points), 0.5, np.float32)
+
+    def undecided(self, noise: F32) -> Rows:
+        """Where the pass before was not sure."""
+        return np.flatnonzero((noise > SURE) & (noise < 1 - SURE))
+
+    def features(self, noise: F32, rows: Rows, number: int) -> F32:
+        """Cues in the first pass; then density and surface too, by the k nearest neighbours (equations 1 and 2).
+
+        The logarithms of the mean distances to the nearest 3, 8 and k; the plane through the neighbours, weighted by
+        how likely each is to be surface (`surface.fit_planes`); the odds of the pass before, and of the neighbours.
+        """
+        if number == 0:
+            return self.cues[rows]
+        at = self.points[rows]
+        index, distance = nearest(self.points, at, min(self.k + 1, len(self.points)))
+        index, distance = index[:, 1:], distance[:, 1:]
+        density = np.log(mean_distances(distance) + np.float32(LEAST))
+        planes, odds = fit_planes(self.points, index, 1 - noise, at), log_odds(noise)
+        return columns(self.cues[rows], density, planes.shape, odds[rows], mean_of(odds, index))
+
+
+def gather(voxels: VoxelCloud, k: int) -> StereoEvidence:
+    """Evidence of a cloud that `has_cues`."""
+    voxel_px = float(np.median(voxels.size_m / voxels.pixel_m))
+    space = image_space(voxels)
+    return StereoEvidence(columns((space - np.median(space, axis=0)) / voxel_px), _cues(voxels), k)
+
+
+def image_space(voxels: VoxelCloud) -> F32:
+    """(u, v, disparity) of each voxel, (M, 3) [px], disparity in units of its noise times `DISPARITY_STRETCH`.
+
+    u = x/z · f, v = y/z · f with f = z / pixel size; disparity over its standard deviation is z/σ_z. In these
+    coordinates noise has one size everywhere, where in metres it grows with z².
+    """
+    z = voxels.xyz[:, 2].astype(np.float64)
+    focal = np.median(z / voxels.pixel_m)
+    image = np.column_stack([voxels.xyz[:, :2] / z[:, None] * focal, DISPARITY_STRETCH * z / voxels.sigma_z])
+    return image.astype(np.float32)
+
+
+def _cues(voxels: VoxelCloud) -> F32:
+    """Cues (M, F): shares as they are, offsets as sign(o)·log(1 + 3|o|), logarithms of all else.
+
+    The last three are the points behind a voxel over those it has room for, its edge in pixels, and depth noise in
+    edges.
+    """
+    room = voxels.size_m / voxels.pixel_m
+
+    def chunk(rows: slice) -> F32:
+        cue = {name: np.nan_to_num(voxels.cues[name][rows], nan=0.0, posinf=0.0, neginf=0.0) for name in CUES}
+        plain = (voxels.count[rows] / room[rows] ** 2, room[rows], voxels.sigma_z[rows] / voxels.size_m)
+        return columns(*(_scaled(name, cue[name]) for name in CUES), *(np.log(x) for x in plain))
+
+    return map_rows(chunk, len(voxels))
+
+
+def _scaled(name: str, cue: F32) -> F32:
+    if name.startswith("offset"):
+        return np.asarray(np.copysign(np.log1p(3 * np.abs(cue)), cue))
+    if name.startswith("scatter"):
+        return np.asarray(np.log(np.maximum(cue, 0) + np.float32(0.05)))
+    if name in FLOORS:
+        return np.asarray(np.log(np.maximum(cue, 0) + np.float32(FLOORS[name])))
+    return cue

@@ -1,0 +1,122 @@
+"""The screen: the plane of the bar tops, given by the site or found in the cloud, and the bars in it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from stereo_ore.config import GrizzlyConfig
+from stereo_ore.errors import FrameError
+from stereo_ore.stages.grizzly.bars import BarFit, fit_bars
+from stereo_ore.stages.grizzly.edges import sharpened
+from stereo_ore.stages.grizzly.plane import candidate_planes, draw_sample, refine, residual, tolerances
+from stereo_ore.stages.grizzly.sample import Sample
+from stereo_ore.types import Grizzly, Plane, Site, Surface
+
+__all__ = ["find"]
+
+MIN_POINTS = 200
+CLEAR_CONTRAST = 0.25
+"""Contrast of bars that need not be counted."""
+MOST_ROUGH = 0.25
+"""Residual of a plane [clear distances between its bars] above which noise would pass for bars."""
+
+
+def find(surface: Surface, site: Site, config: GrizzlyConfig) -> Grizzly:
+    """The grizzly under and around the ore.
+
+    Parameters
+    ----------
+    surface : Surface
+        Kept points in the image.
+    site : Site
+        Its plane is taken as it is and only measured; without one the plane is found. A known opening and bar width
+        fix the pitch of the bars, otherwise the pitch is measured too.
+    config : GrizzlyConfig
+        Tolerances and the seed.
+
+    Raises
+    ------
+    FrameError
+        No plane was given, and none in the cloud is cut into bars.
+    """
+    sample = draw_sample(surface, config)
+    found = _found(sample, site, config) if site.plane is None else _measured(sample, site, site.plane)
+    return found if site.bar_width_m is not None else _with_sharp_bars(found, surface, site, config)
+
+
+def _with_sharp_bars(found: Grizzly, surface: Surface, site: Site, config: GrizzlyConfig) -> Grizzly:
+    """The screen with the width that its bars have in the image, where nobody has measured it."""
+    bars = sharpened(surface, found, tolerances(surface.sigma_z, config))
+    diagnostics = {**found.diagnostics, "bar_width_from": "image" if bars else "depth"}
+    if bars is None:
+        return replace(found, diagnostics=diagnostics)
+    opening = site.opening_m or bars.pitch_m - bars.width_m
+    return replace(found, bars=bars, opening_m=opening, diagnostics=diagnostics)
+
+
+def _measured(sample: Sample, site: Site, plane: Plane) -> Grizzly:
+    """The site's plane with its residual on the bars and how far the cloud disagrees with it."""
+    if len(sample) < MIN_POINTS:
+        return _grizzly(plane, "site", None, site, {"points": len(sample)})
+    # Shiny bars are measured a little off; they are found in the plane that the cloud has near the site's.
+    near = refine(sample, plane, BarFit(None, 0.0))
+    fit = fit_bars(sample, near, site.opening_m, site.bar_width_m, sharp=True)
+    rms, inliers = residual(sample, plane, fit)
+    other = refine(sample, near, fit)
+    tilt = float(np.arccos(np.clip(other.normal @ plane.normal, -1, 1)))
+    middle = np.median(sample.xyz, axis=0)
+    gap = float(other.height(middle) - plane.height(middle))
+    return _grizzly(
+        plane, "site", rms, site, {"inlier_share": inliers, "cloud_tilt_rad": tilt, "cloud_offset_m": gap}, fit
+    )
+
+
+def _found(sample: Sample, site: Site, config: GrizzlyConfig) -> Grizzly:
+    """The candidate plane that is widest and most clearly cut into bars."""
+    best: tuple[float, Plane, BarFit] | None = None
+    for candidate, area in candidate_planes(sample, config):
+        plane = refine(sample, candidate, fit_bars(sample, candidate, site.opening_m, site.bar_width_m))
+        fit = fit_bars(sample, plane, site.opening_m, site.bar_width_m, sharp=True)
+        score = area * fit.contrast
+        if _is_screen(sample, plane, fit, site, config) and (best is None or score > best[0]):
+            best = score, plane, fit
+    if best is None:
+        raise FrameError(
+            f"no plane of bars was found among {len(sample):,} points",
+            code="NO_SCREEN",
+            remedy="Give grizzly.plane in the site file, or check that screen and working volume are in view",
+        )
+    for _ in range(config.refinements):
+        plane = refine(sample, best[1], best[2])
+        best = best[0], plane, fit_bars(sample, plane, site.opening_m, site.bar_width_m, sharp=True)
+    _, plane, fit = best
+    rms, inliers = residual(sample, plane, fit)
+    return _grizzly(plane, "auto", rms, site, {"inlier_share": inliers}, fit)
+
+
+def _is_screen(sample: Sample, plane: Plane, fit: BarFit, site: Site, config: GrizzlyConfig) -> bool:
+    """Whether bars were seen: the less the site says of the screen, the more of them are wanted."""
+    if fit.bars is None or fit.contrast < config.min_contrast:
+        return False
+    if site.opening_m is not None and site.bar_width_m is not None:
+        return True
+    if site.volume is not None:
+        return fit.seen >= 2 or fit.contrast >= CLEAR_CONTRAST
+    rms, _ = residual(sample, plane, fit)
+    gap = fit.bars.pitch_m - fit.bars.width_m
+    return fit.seen >= config.min_bars and rms is not None and rms < MOST_ROUGH * gap
+
+
+def _grizzly(
+    plane: Plane, source: Any, rms: float | None, site: Site, diagnostics: dict[str, Any], fit: BarFit | None = None
+) -> Grizzly:
+    bars = fit.bars if fit else None
+    opening = site.opening_m
+    if opening is None and bars is not None:
+        opening = bars.pitch_m - bars.width_m
+    if fit:
+        diagnostics |= {"bar_contrast": fit.contrast, "bars_seen": fit.seen}
+    return Grizzly(plane, source, rms, bars, opening, diagnostics)

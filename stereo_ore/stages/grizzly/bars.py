@@ -1,0 +1,208 @@
+"""The bars in a plane: direction, pitch, width and phase, from where it is solid and where one sees through it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stereo_ore.types import F64, Bars, Mask, Plane
+
+if TYPE_CHECKING:
+    from stereo_ore.stages.grizzly.sample import Sample
+
+COARSE, FINE = 60, 13
+"""Directions tried over half a turn, and then around the best of them."""
+BINS, FINE_BINS = 400, 4000
+"""Bins across the screen, and PHASES across one pitch."""
+PHASES = 60
+SEARCHED = 3000
+"""Points that directions are tried on."""
+MIN_BARS, MAX_BARS = 3, 40
+AROUND = 0.1
+"""Margin kept around what one sees through, of its extent."""
+LEAST_SEEN = 8
+"""Points that a bar or a gap must have to be judged."""
+ROUGH, SHARP = (1.0, 2.0), (0.3, 1.0)
+"""Within the first of these of a plane [inlier distances] it is solid, beneath the second it is open."""
+MIN_DUTY, MAX_DUTY = 0.08, 0.6
+
+
+@dataclass(frozen=True)
+class BarFit:
+    """The bars, if any, the share of the variance of solid/open that they explain (0…1), and how many are seen."""
+
+    bars: Bars | None
+    contrast: float
+    seen: int = 0
+
+    def covers(self, xyz: F64) -> Mask:
+        """True for each of (N, 3) points that lies over a bar."""
+        if self.bars is None:
+            return np.zeros(len(xyz), bool)
+        across = xyz @ self.bars.across - self.bars.phase_m
+        from_centre = np.abs(across - self.bars.pitch_m * np.round(across / self.bars.pitch_m))
+        return np.asarray(from_centre < self.bars.width_m / 2)
+
+
+def fit_bars(
+    sample: Sample, plane: Plane, opening_m: float | None, bar_width_m: float | None, sharp: bool = False
+) -> BarFit:
+    """Bars of a plane.
+
+    Each pixel's ray is cut with the plane: where the point seen lies on the plane the plane is solid there (+1), where
+    it lies well beneath the plane is open (−1); a point above says nothing. The direction is the one along which this
+    signal varies least; the pitch the one whose folded signal has the best window of solid.
+
+    Parameters
+    ----------
+    sample : Sample
+        Points with their tolerances.
+    plane : Plane
+        Plane of the bar tops.
+    opening_m, bar_width_m : float or None
+        Known clear distance and bar width [m]; both together fix the pitch and the width.
+    sharp : bool
+        The plane has been refined: what lies a little beneath it is a bar's side face, or smeared off its edge.
+    """
+    q, signal, axes = _rays_in_plane(sample, plane, SHARP if sharp else ROUGH)
+    q, signal = _around_open(q, signal)
+    if len(q) < PHASES or signal.min() > 0 or signal.max() < 0:
+        return BarFit(None, 0.0)
+    angle = _direction(q, signal)
+    across2 = np.array([-np.sin(angle), np.cos(angle)])
+    position = q @ across2
+    comb = _comb(position, signal, opening_m, bar_width_m)
+    if comb is None:
+        return BarFit(None, 0.0)
+    pitch, phase, width = comb
+    solid = np.abs(_wrap(position - phase, pitch)) < width / 2
+    contrast = _explained(solid.astype(np.intp), signal)
+    direction = np.array([np.cos(angle), np.sin(angle)]) @ axes
+    bars = Bars(direction, across2 @ axes, float(pitch), float(phase), float(width))
+    return BarFit(bars, contrast, _seen(position, signal, pitch, phase, solid))
+
+
+def _seen(position: F64, signal: F64, pitch: float, phase: float, on_bar: Mask) -> int:
+    """Number of bars that are mostly solid where the half gaps beside them are mostly open."""
+    number = np.round((position - phase) / pitch).astype(np.intp)
+    number -= number.min()
+    means = []
+    for part in (on_bar, ~on_bar):
+        count = np.bincount(number[part], minlength=number.max() + 1)
+        total = np.bincount(number[part], signal[part], number.max() + 1)
+        means.append(np.where(count >= LEAST_SEEN, total / np.maximum(count, 1), 0.0))
+    return int(((means[0] > 0.3) & (means[1] < -0.3)).sum())
+
+
+def _rays_in_plane(sample: Sample, plane: Plane, limits: tuple[float, float]) -> tuple[F64, F64, F64]:
+    """Where each ray meets the plane (N, 2) [m], solid +1 or open −1 (N,), and the plane's axes (2, 3)."""
+    height = plane.height(sample.xyz)
+    solid, open_ = (limit * sample.tolerance for limit in limits)
+    known = (np.abs(height) < solid) | (height < -open_)
+    xyz, height = sample.xyz[known], height[known]
+    signal = np.where(height > -solid[known], 1.0, -1.0)
+    hit = xyz * (plane.offset / (height + plane.offset))[:, None]
+    x = np.array([1.0, 0, 0]) - plane.normal[0] * plane.normal
+    x /= np.linalg.norm(x)
+    axes = np.stack([x, np.cross(plane.normal, x)])
+    return hit @ axes.T, signal, axes
+
+
+def _around_open(q: F64, signal: F64) -> tuple[F64, F64]:
+    """The rays where one sees through the plane and a little around: bars are there, a floor goes on for ever."""
+    through = q[signal < 0]
+    if not len(through):
+        return q, signal
+    low, high = np.percentile(through, (1, 99), axis=0)
+    margin = AROUND * (high - low)
+    near = ((q > low - margin) & (q < high + margin)).all(1)
+    return q[near], signal[near]
+
+
+def _wrap(value: F64, period: float) -> F64:
+    """Value folded into −period/2 … period/2."""
+    return np.asarray(value - period * np.round(value / period))
+
+
+def _explained(group: np.ndarray, signal: F64) -> float:
+    """Share of the variance of the signal that is between groups (0…1)."""
+    count = np.bincount(group)
+    total = np.bincount(group, signal)
+    between = float((total**2 / np.maximum(count, 1)).sum()) - signal.sum() ** 2 / len(signal)
+    within = len(signal) - signal.sum() ** 2 / len(signal)
+    return between / within if within > 0 else 0.0
+
+
+def _direction(q: F64, signal: F64) -> float:
+    """Angle of the bars in the plane [rad]: the signal summed along them varies most across them."""
+    if len(q) > SEARCHED:
+        # Not every n-th: the sample is a grid, and bars along its columns would be missed or hit all at once.
+        some = np.random.default_rng(0).choice(len(q), SEARCHED, replace=False)
+        q, signal = q[some], signal[some]
+
+    def contrast(angle: float) -> float:
+        position = q @ np.array([-np.sin(angle), np.cos(angle)])
+        low, high = position.min(), position.max()
+        return _explained(((position - low) / max(high - low, 1e-9) * (BINS // 3)).astype(np.intp), signal)
+
+    best, span = 0.0, np.pi / 2
+    for count in (COARSE, FINE, FINE):
+        angles = best + np.linspace(-span, span, count, endpoint=count != COARSE)
+        best = float(angles[int(np.argmax([contrast(a) for a in angles]))])
+        span = np.pi / COARSE if count == COARSE else span / 8
+    return best
+
+
+def _comb(
+    position: F64, signal: F64, opening_m: float | None, bar_width_m: float | None
+) -> tuple[float, float, float] | None:
+    """Pitch, phase and width [m] of the comb that agrees best with the signal."""
+    low, high = np.percentile(position, (1, 99))
+    extent = float(high - low)
+    if opening_m is not None and bar_width_m is not None:
+        pitches = (opening_m + bar_width_m) * np.linspace(0.995, 1.005, 5)
+        if pitches[0] > extent:
+            return None
+    else:
+        pitches = extent / np.geomspace(MIN_BARS, MAX_BARS, 240)
+    centres, balanced = _balanced(position, signal, low, extent)
+    for wide in (True, False) if opening_m is None or bar_width_m is None else (True,):
+        folds = [_best_window(centres, balanced, p, bar_width_m) for p in pitches]
+        best = int(np.argmax([f[0] for f in folds]))
+        pitch = float(pitches[best])
+        if wide:
+            pitches = pitch * np.linspace(0.97, 1.03, 31)
+    return pitch, folds[best][1], folds[best][2]
+
+
+def _balanced(position: F64, signal: F64, low: float, extent: float) -> tuple[F64, F64]:
+    """The signal in fine bins across the screen: bin centres [m] and sums.
+
+    Wide bins are first brought to the same weight, then solid and open to the same sum.
+    """
+    inside = (position >= low) & (position < low + extent)
+    position, signal = position[inside], signal[inside]
+    share = (position - low) / max(extent, 1e-9)
+    even = signal / np.bincount((share * BINS).astype(np.intp))[(share * BINS).astype(np.intp)]
+    solid = even > 0
+    even = np.where(solid, even / max(even[solid].sum(), 1e-9), -even / min(even[~solid].sum(), -1e-9))
+    sums = np.asarray(np.bincount((share * FINE_BINS).astype(np.intp), even, FINE_BINS)[:FINE_BINS], dtype=np.float64)
+    return low + (np.arange(FINE_BINS) + 0.5) * extent / FINE_BINS, sums
+
+
+def _best_window(position: F64, signal: F64, pitch: float, width_m: float | None) -> tuple[float, float, float]:
+    """Sum, phase [m] and width [m] of the window whose periodic repetition holds the most signal."""
+    fold = np.bincount(((position % pitch) / pitch * PHASES).astype(np.intp) % PHASES, signal, PHASES)
+    sums = np.concatenate([[0.0], np.cumsum(np.tile(fold, 2))])
+    if width_m is not None:
+        lengths = np.array([round(width_m / pitch * PHASES)])
+    else:
+        lengths = np.arange(round(MIN_DUTY * PHASES), round(MAX_DUTY * PHASES))
+    starts = np.arange(PHASES)
+    window = sums[starts[:, None] + lengths] - sums[starts][:, None]
+    start, length = np.unravel_index(int(np.argmax(window)), window.shape)
+    middle = (starts[start] + lengths[length] / 2) / PHASES * pitch
+    width = width_m if width_m is not None else float(lengths[length]) / PHASES * pitch
+    return float(window[start, length]), float(middle % pitch), width

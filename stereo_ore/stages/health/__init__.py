@@ -1,0 +1,9 @@
+"""Self-checks of a run: what makes a frame too doubtful to act on, each a `Reason` with a code of its own.
+
+The checks of one frame belong to the pipeline; those that need its predecessors are in `health.history`.
+"""
+
+from stereo_ore.stages.health.eyes import doubts as eye_doubts
+from stereo_ore.stages.health.screen import doubts as screen_doubts
+
+__all__ = ["eye_doubts", "screen_doubts"]

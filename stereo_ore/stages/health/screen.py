@@ -1,0 +1,162 @@
+"""Whether the screen lies where the site says: else the camera was moved, or the calibration is wrong.
+
+Bars are the widest plane in the cloud, so what makes disparities wrong (a shift of one eye's columns, another
+baseline or focal length) lifts, sinks or turns this plane. It is blind to what moves the plane within itself: the
+camera slid along the screen, or turned about its normal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from stereo_ore.config import GrizzlyConfig, HealthConfig
+from stereo_ore.stages.grizzly.bars import BarFit
+from stereo_ore.stages.grizzly.plane import candidate_planes, draw_sample, refine, tolerances
+from stereo_ore.stages.grizzly.sample import Sample
+from stereo_ore.types import F64, Mask, Plane, Reason, Surface
+
+FEWEST_POINTS = 200
+WIDE = 0.7
+"""Spread of a plane's points over that of all points, below which it may be the face of a rock."""
+CLEARER = 1.5
+"""So many times the points near the site's plane a plane elsewhere must have to be believed."""
+OVERLAP = 5.0
+"""Planes nearer than this [standard deviations of a depth] share points: one of them can't be much clearer."""
+
+LEAST_OPEN, GRID = 0.12, 20_000
+"""Share of a screen's outline, on a grid of so many pixels, that shows no bar and no ore: a bed of ore has no gaps."""
+LEAST_HIDDEN = 0.4
+"""Share of the outline of all points that shows any where ore hides the screen; less where only tips of it are left."""
+LEAST_OWN, CLEAR_OF, BESIDE = 0.05, 2.5, 2.5
+"""The bars are at the site's plane after all where at least this share of the points is, so many times more than
+so many tolerances above and below: then a wider plane is the floor of the pit."""
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """How the plane that the cloud shows differs from the site's.
+
+    offset_m along the site's normal, in the middle of its points; tilt_rad; and the same that noise alone may make:
+    sigma_m of one depth, sigma_rad of a plane that is off by sigma_m at the edge of its points.
+    """
+
+    offset_m: float
+    tilt_rad: float
+    sigma_m: float
+    sigma_rad: float
+
+
+def doubts(surface: Surface, plane: Plane, grizzly: GrizzlyConfig, config: HealthConfig) -> Iterator[Reason]:
+    """SCREEN_MOVED where the cloud shows the screen elsewhere, or neither it nor a bed of ore that hides it.
+
+    Parameters
+    ----------
+    surface : Surface
+        Kept points in the image.
+    plane : Plane
+        The site's plane of the bar tops.
+    grizzly : GrizzlyConfig
+        Tolerances and seed of the search for planes.
+    config : HealthConfig
+        The limits.
+    """
+    sample = draw_sample(surface, grizzly)
+    if len(sample) < FEWEST_POINTS:
+        return
+    found = deviation(surface, sample, plane, grizzly, config.least_screen)
+    if found is None:
+        seen = np.isfinite(surface.xyz[..., 2])
+        if seen.sum() < LEAST_HIDDEN * _outline(seen).sum() and not _stays(sample, plane):
+            text = "neither is a screen seen at grizzly.plane, nor ore that hides it"
+            yield Reason("SCREEN_MOVED", f"{text}: was the camera moved, or is the calibration of another one?")
+        return
+    farthest = config.max_screen_offset * found.sigma_m
+    steepest = max(config.max_screen_tilt_rad, found.sigma_rad)
+    # Together: of a screen that sinks out of the working volume only what is highest is seen, a little low and turned.
+    if np.hypot(found.offset_m / farthest, found.tilt_rad / steepest) > 1:
+        where = f"{1000 * abs(found.offset_m):.0f} mm {'above' if found.offset_m > 0 else 'below'} grizzly.plane"
+        limits = f"allowed are {1000 * farthest:.0f} mm or {np.degrees(steepest):.1f}°, less of both together"
+        text = f"the screen is seen {where} and turned by {np.degrees(found.tilt_rad):.1f}°, {limits}"
+        yield Reason("SCREEN_MOVED", f"{text}: was the camera moved, or is the calibration of another one?")
+
+
+def deviation(
+    surface: Surface, sample: Sample, plane: Plane, config: GrizzlyConfig, least_share: float
+) -> Deviation | None:
+    """How far the clearest plane of the cloud is from `plane`; None where no plane is clear."""
+    planes = [refine(sample, plane, BarFit(None, 0.0)) for plane, _ in candidate_planes(sample, config)]
+    wide = [candidate for candidate in planes if _is_wide(sample, candidate, least_share)]
+    if not wide:
+        return None
+    seen = max(wide, key=lambda candidate: _share(sample, candidate))
+    if _open_share(surface, seen, config) < LEAST_OPEN:
+        return None
+    on = _on(sample, seen)
+    found = _deviation(sample.xyz[on], seen, plane, surface)
+    overlaps = abs(found.offset_m) < OVERLAP * found.sigma_m
+    clearer = on.mean() > CLEARER * _share(sample, plane)
+    return found if overlaps or (clearer and not _stays(sample, plane)) else None
+
+
+def _stays(sample: Sample, plane: Plane) -> bool:
+    """Whether the bars are at the site's plane after all, whatever else is seen."""
+    near = _share(sample, plane)
+    return near > LEAST_OWN and near > CLEAR_OF * _share_beside(sample, plane)
+
+
+def _on(sample: Sample, plane: Plane) -> Mask:
+    return np.asarray(np.abs(plane.height(sample.xyz)) < sample.tolerance)
+
+
+def _is_wide(sample: Sample, plane: Plane, least_share: float) -> bool:
+    """Whether a plane has points enough, over much of what is seen."""
+    on = _on(sample, plane)
+    return bool(on.mean() >= least_share and _spread(sample.xyz[on]) >= WIDE * _spread(sample.xyz))
+
+
+def _open_share(surface: Surface, plane: Plane, config: GrizzlyConfig) -> float:
+    """Share of the pixels within the outline of the plane's points that show nothing on it or above."""
+    step = max(1, int(np.sqrt(surface.xyz[..., 2].size / GRID)))
+    height = plane.height(surface.xyz[::step, ::step])
+    tolerance = tolerances(surface.sigma_z[::step, ::step], config)
+    on = np.abs(height) < tolerance
+    if not on.any():
+        return 0.0
+    inside = _outline(on)
+    return float((inside & ~(height > -tolerance)).sum() / inside.sum())
+
+
+def _outline(shown: Mask) -> Mask:
+    """The convex hull of what is shown."""
+    hull = cv2.convexHull(np.argwhere(shown)[:, ::-1].astype(np.int32))
+    return np.asarray(cv2.fillConvexPoly(np.zeros(shown.shape, np.uint8), hull, 1) > 0)
+
+
+def _share(sample: Sample, plane: Plane) -> float:
+    return float(_on(sample, plane).mean())
+
+
+def _share_beside(sample: Sample, plane: Plane) -> float:
+    """The greater share of points on the planes a little above and below."""
+    step = BESIDE * float(np.median(sample.tolerance))
+    return max(_share(sample, Plane(plane.normal, plane.offset + side * step)) for side in (-1, 1))
+
+
+def _spread(xyz: F64) -> float:
+    """Root mean square distance [m] of points (N, 3) from their centre."""
+    return float(np.sqrt(((xyz - xyz.mean(0)) ** 2).sum(1).mean()))
+
+
+def _deviation(xyz: F64, seen: Plane, plane: Plane, surface: Surface) -> Deviation:
+    middle = xyz.mean(0)
+    # A disparity's noise moves a point along its ray; what of that is along the normal is offset / z.
+    share = surface.sigma_z / surface.xyz[..., 2]
+    share = share[np.isfinite(share)]
+    half = len(share) // 2
+    sigma = float(np.partition(share, half)[half]) * abs(plane.offset)
+    tilt = float(np.arccos(np.clip(seen.normal @ plane.normal, -1, 1)))
+    return Deviation(float(plane.height(middle)), tilt, sigma, sigma / _spread(xyz))

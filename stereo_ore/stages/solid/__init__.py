@@ -1,0 +1,110 @@
+"""The solid a lump is: its visible surface closed by a stated model of the sides that no camera saw."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.ndimage import find_objects
+
+from stereo_ore.config.models import SolidConfig
+from stereo_ore.stages.solid.cues import DIMENSIONS, Cues, gather
+from stereo_ore.stages.solid.measure import longest_calliper
+from stereo_ore.stages.solid.prior import Estimate, load
+from stereo_ore.stages.solid.sight import Sight, look
+from stereo_ore.types import F64, Grizzly, OreMap, Reason, Solid, Surface
+
+__all__ = ["METHOD", "Cues", "Sight", "looks", "solids"]
+
+METHOD = "grounded hull corrected by a shape prior"
+FARTHEST, LARGEST = 1.5, 2.5
+"""Bounds of the correction: shift of the centre over the lump's size, logarithm of the volume's ratio."""
+CUT_FACTOR = 2.0
+"""How much less sure all is of a lump that the image's border cuts."""
+
+
+def solids(surface: Surface, ore_map: OreMap, grizzly: Grizzly, config: SolidConfig) -> tuple[Solid | None, ...]:
+    """Close every lump to a body.
+
+    The visible surface is closed by a shrunken footprint on the screen (the grounded hull). How far that is from the
+    truth depends on what the camera saw: the outline, what carries or hides the lump, the bars under it, the view. A
+    linear model of such cues, fitted to scenes with known truth, gives centre of gravity, volume and dimensions with
+    their uncertainties.
+
+    Parameters
+    ----------
+    surface
+        Kept points as an image crop, camera frame, metres.
+    ore_map
+        Lumps in the whole image, ids 1…n.
+    grizzly
+        The screen they lie on; bars and opening sharpen the estimate when they are known.
+
+    Returns
+    -------
+    tuple
+        Entry i is the solid of id i + 1, None when too little was seen of it to make one.
+    """
+    return tuple(
+        _solid(*looked, grizzly.opening_m, number in ore_map.cut, config) if looked else None
+        for number, looked in enumerate(looks(surface, ore_map, grizzly, config), 1)
+    )
+
+
+def looks(
+    surface: Surface, ore_map: OreMap, grizzly: Grizzly, config: SolidConfig
+) -> tuple[tuple[Sight, Cues] | None, ...]:
+    """What the camera saw of every lump, as `solids` judges it; None when it is too little."""
+    h, w = surface.sigma_z.shape
+    labels = ore_map.labels[surface.y0 : surface.y0 + h, surface.x0 : surface.x0 + w]
+    count = int(ore_map.labels.max(initial=0))
+    found: list[tuple[Sight, Cues] | None] = []
+    for number, box in enumerate(find_objects(labels, max_label=count) if count else [], 1):
+        sight = look(surface, labels, box, number, grizzly.plane, config.min_points) if box else None
+        cues = gather(sight, grizzly.bars, grizzly.opening_m) if sight else None
+        found.append((sight, cues) if sight and cues else None)
+    return tuple(found)
+
+
+def _solid(sight: Sight, cues: Cues, opening_m: float | None, cut: bool, config: SolidConfig) -> Solid:
+    estimate, s = load().estimate(cues.even, cues.odd, cues.doubts), sight.size
+    base = cues.body
+    shift = np.array([estimate.mean[axis] for axis in "xyz"]) * s + [0.0, 0.0, cues.support] - base.centroid
+    shift *= min(1.0, FARTHEST * s / max(float(np.linalg.norm(shift)), 1e-12))
+    ratio = np.clip(estimate.mean["volume"] - np.log(base.volume / s**3), -LARGEST, LARGEST)
+    volume = float(np.exp(ratio) * base.volume)
+    factor = CUT_FACTOR if cut else 1.0
+    centre, spread = base.centroid + shift, config.volume_sigmas * estimate.sigma["volume"] * factor
+    size = np.sort([s * np.exp(estimate.mean[name]) for name in DIMENSIONS])[::-1]
+    vertices = centre + np.exp(ratio / 3) * (base.vertices - base.centroid)
+    box_length = float(cues.box.extent[0] * size[0] / longest_calliper(base.vertices))
+    return Solid(
+        centre_of_gravity=sight.to_camera(centre),
+        sigma_m=_sigma(sight, estimate, factor, config),
+        volume_m3=volume,
+        volume_bounds_m3=(float(volume * np.exp(-spread)), float(volume * np.exp(spread))),
+        box_centre=sight.to_camera(centre + np.exp(ratio / 3) * (cues.box.centre - base.centroid)),
+        axes=cues.box.axes @ sight.axes,
+        extent_m=np.array([max(size[1], box_length), size[1], size[2]]),
+        size_m=size,
+        method=METHOD,
+        vertices=sight.to_camera(vertices).astype(np.float32),
+        oversize=_oversize(float(size[1]), opening_m, cut, config),
+        reasons=(Reason("CUT_BY_IMAGE", "the image's border cuts the lump; it may be larger"),) if cut else (),
+    )
+
+
+def _sigma(sight: Sight, estimate: Estimate, factor: float, config: SolidConfig) -> F64:
+    """Standard deviation (3,) [m] along the camera's axes: the model's error, and a bias common to all disparities."""
+    model = np.array([estimate.sigma[axis] for axis in "xyz"]) * sight.size * factor
+    bias = sight.sigma_z * config.bias_share * sight.view
+    variance = (model**2) @ sight.axes**2 + (bias @ sight.axes) ** 2
+    return np.asarray(np.sqrt(variance))
+
+
+def _oversize(middle_m: float, opening_m: float | None, cut: bool, config: SolidConfig) -> bool | None:
+    """Whether the middle dimension exceeds the opening; None when unknown or within the margin."""
+    if opening_m is None:
+        return None
+    excess = middle_m / opening_m - 1.0
+    if cut and excess <= config.oversize_margin:
+        return None
+    return None if abs(excess) <= config.oversize_margin else bool(excess > 0)
