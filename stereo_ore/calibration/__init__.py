@@ -5,12 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from stereo_ore.calibration import kalibr, middlebury, native, opencv, ros, zed
-from stereo_ore.calibration.formats import Format, Hints
+from stereo_ore.calibration.formats import Format, Hints, Projection, read_file
 from stereo_ore.calibration.geometry import Images, check_image_size
 from stereo_ore.calibration.native import dump, save
 from stereo_ore.errors import CalibrationError
 from stereo_ore.types import StereoCalibration
-from stereo_ore.yaml_io import read_text
 
 __all__ = ["FORMATS", "check_image_size", "dump", "load", "save"]
 
@@ -29,8 +28,10 @@ def load(
     path: str | Path,
     images: Images | None = None,
     image_size: tuple[int, int] | None = None,
-    unit_m: float = 1.0,
+    unit_m: float | None = None,
     eyes: tuple[int, int] | None = None,
+    projection: Projection | None = None,
+    recorded_size: tuple[int, int] | None = None,
 ) -> StereoCalibration:
     """The stereo calibration in a file of any known format.
 
@@ -43,9 +44,14 @@ def load(
     image_size
         Width and height [px] of one eye, for formats that hold several or none.
     unit_m
-        Length of one unit of a translation, for formats that do not fix it (OpenCV, ROS).
+        Length of one unit of a translation, for formats that do not fix it; None: metres, where that is likely.
     eyes
         Numbers of the left and the right camera, for chains of more than two.
+    projection
+        Of the lenses, for files that do not say it.
+    recorded_size
+        Width and height [px] of the images at hand: picks one of several sizes in a file, never stands for a missing
+        one.
 
     Raises
     ------
@@ -53,8 +59,9 @@ def load(
         When the file can't be read, is in no known format, or describes an impossible camera.
     """
     path = Path(path)
-    text = read_text(path, CalibrationError)
+    text = read_file(path)
+    hints = Hints(images, image_size, unit_m, eyes, projection, recorded_size)
     for reader in FORMATS.values():
         if reader.recognises(text):
-            return reader.read(path, text, Hints(images, image_size, unit_m, eyes))
+            return reader.read(path, text, hints)
     raise CalibrationError(f"is in no known calibration format ({', '.join(FORMATS)})", file=path)
