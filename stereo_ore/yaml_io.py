@@ -85,7 +85,7 @@ def read_text(path: Path, error: type[StereoOreError]) -> str:
 
 
 def decode_text(data: bytes, path: Path, error: type[StereoOreError]) -> str:
-    """The text in the bytes of a file, its lines ended by ``\\n``; `error` when they are too many or no UTF-8."""
+    """The text in the bytes of a file, one kind of line end; `error` when they are too many or no UTF-8."""
     if len(data) > MAX_BYTES:
         raise error(f"has more than {MAX_BYTES:,} bytes; no more are read", file=path, remedy="Is it the right file?")
     try:

@@ -4,7 +4,22 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from stereo_ore.calibration import kalibr, middlebury, native, opencv, ros, zed
+from stereo_ore.calibration import (
+    calibrating,
+    camera_array,
+    colmap,
+    depthai,
+    kalibr,
+    middlebury,
+    mrcal,
+    native,
+    opencv,
+    orbslam,
+    pycamcalib,
+    ros,
+    simplestereo,
+    zed,
+)
 from stereo_ore.calibration.formats import Format, Hints, Projection, read_file
 from stereo_ore.calibration.geometry import Images, check_image_size
 from stereo_ore.calibration.native import dump, save
@@ -16,10 +31,18 @@ __all__ = ["FORMATS", "check_image_size", "dump", "load", "save"]
 FORMATS: dict[str, Format] = {
     "native": native,
     "zed": zed,
+    "orbslam": orbslam,
     "opencv": opencv,
     "ros": ros,
     "kalibr": kalibr,
     "middlebury": middlebury,
+    "simplestereo": simplestereo,
+    "depthai": depthai,
+    "pycamcalib": pycamcalib,
+    "mrcal": mrcal,
+    "calibrating": calibrating,
+    "camera_array": camera_array,
+    "colmap": colmap,
 }
 """Asked in this order; a new format is a module and a line."""
 
@@ -58,7 +81,7 @@ def load(
     CalibrationError
         When the file can't be read, is in no known format, or describes an impossible camera.
     """
-    path = Path(path)
+    path = pycamcalib.text_of(Path(path))
     text = read_file(path)
     hints = Hints(images, image_size, unit_m, eyes, projection, recorded_size)
     for reader in FORMATS.values():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import gzip
+import json
 import logging
 import re
 import zlib
@@ -27,7 +28,7 @@ LONGEST_UNSAID_M = 1.0
 """A longer baseline in a format without a unit is in metres only when the user says so."""
 
 _LENS_WORDS = re.compile(
-    r"dist|coef|lens|fish|radial|tangential|prism|kannala|polynom|equidist|omni|model|tilt|tau"
+    r"dist|coef|lens|fish|radial|tangential|prism|kannala|polynom|equidist|omni|(?:^|[^a-z])xi\d?(?![a-z])|model|tilt|tau"
     r"|(?:^|[^a-z])[kpsd]_?\d+(?![a-z0-9])|(?:^|[^a-z])[dk](?![a-z0-9])|(?:^|[^a-z])d_?(?:left|right|l|r|fe)(?![a-z])"
 )
 _NO_MODEL = re.compile(r"distance|std|stdev|cov|uncertain|error|rms|per_?view")
@@ -104,13 +105,14 @@ def read_file(path: Path) -> str:
         raise CalibrationError(f"is no whole gzip file: {fault}", file=path) from None
     for magic, kind in _MAGIC.items():
         if head.startswith(magic):
-            remedy = "Export the calibration as text (YAML, JSON or XML)"
+            beside = ", ".join(file.name for file in sorted(path.parent.glob(f"{path.stem}_TransformationMatrix.json")))
+            remedy = f"Name {beside or 'a calibration as text (YAML, JSON or XML)'} instead"
             raise CalibrationError(f"is {kind}, not a text file", file=path, remedy=remedy)
     return read_text(path, CalibrationError)
 
 
 def size_of(path: Path, in_file: Sequence[Any] | None, hints: Hints) -> tuple[int, int]:
-    """The image size that the file gives or, when it gives none, that the user gave."""
+    """The image size that the file gives or, when it gives none, that the user gave; never that of the images."""
     size = in_file or hints.image_size
     if size is None:
         raise CalibrationError("does not say the image size", file=path, remedy=SIZE_REMEDY)
@@ -118,6 +120,39 @@ def size_of(path: Path, in_file: Sequence[Any] | None, hints: Hints) -> tuple[in
     if not all(value > 0 and value == int(value) for value in values):
         raise CalibrationError(f"the image size must be two positive whole numbers, not {list(size)}", file=path)
     return int(values[0]), int(values[1])
+
+
+def one_size(path: Path, sizes: Sequence[Any], hints: Hints) -> tuple[int, int]:
+    """The image size that both eyes have; `sizes` as the file gives them."""
+    both = [size_of(path, size, hints) for size in sizes]
+    if both[0] != both[1]:
+        raise CalibrationError(f"the left eye has images of {both[0]} px, the right one of {both[1]}", file=path)
+    return both[0]
+
+
+def raw_only(path: Path, hints: Hints) -> None:
+    """Refuse the wish for rectified images from a format that describes raw ones."""
+    if hints.images == "rectified":
+        raise CalibrationError("describes raw images, not rectified ones", file=path)
+
+
+def parse_json(path: Path, text: str) -> dict[str, Any]:
+    """The object in a JSON text."""
+    try:
+        data = json.loads(text)
+    except (ValueError, RecursionError) as fault:
+        raise CalibrationError(f"is not valid JSON: {fault}", file=path) from None
+    if not isinstance(data, dict):
+        raise CalibrationError(f"must hold an object, not {type(data).__name__}", file=path)
+    return data
+
+
+def section(path: Path, data: Mapping[str, Any], key: str) -> dict[str, Any]:
+    """The mapping under a key."""
+    value = data.get(key)
+    if not isinstance(value, dict):
+        raise CalibrationError("must be a mapping", file=path, key=key)
+    return value
 
 
 def numbers(path: Path, key: str, values: Any, count: int | None = None) -> F64:

@@ -151,7 +151,7 @@ def _other_size_faults(left: CameraModel, right: CameraModel, size: Sequence[int
     if np.abs(np.log(likely / (2 * middle * factor))).max() > SAME_FACTOR:
         likely = np.round(2 * middle * factor)
     yield (
-        f"principal_point_px: {list(left.principal_point_px)} lies at {50 * factor:.0f} % of the width and of the height"
+        f"principal_point_px: {list(left.principal_point_px)} lies at {50 * factor:.0f} % of width and height"
         f" of images of {size[0]}×{size[1]} px; the calibration was made at about {likely[0]:.0f}×{likely[1]:.0f} px."
         " Use the one of this resolution"
     )

@@ -22,9 +22,18 @@ AGREE = 1e-3
 
 _CHAIN = re.compile(r"^cam\d+:", re.MULTILINE)
 _KNOWN = (
-    "camera_model intrinsics distortion_model distortion_coeffs resolution T_cn_cnm1 T_cam_imu T_imu_cam rostopic "
-    "cam_overlaps timeshift_cam_imu"
-).split()
+    "camera_model",
+    "intrinsics",
+    "distortion_model",
+    "distortion_coeffs",
+    "resolution",
+    "T_cn_cnm1",
+    "T_cam_imu",
+    "T_imu_cam",
+    "rostopic",
+    "cam_overlaps",
+    "timeshift_cam_imu",
+)
 
 
 def recognises(text: str) -> bool:

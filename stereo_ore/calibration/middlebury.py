@@ -12,7 +12,21 @@ from stereo_ore.errors import CalibrationError
 from stereo_ore.types import F64, CameraModel, StereoCalibration
 
 _CAMERA = re.compile(r"^\s*cam0\s*=\s*\[", re.MULTILINE)
-_KNOWN = "cam0 cam1 doffs baseline width height ndisp isint vmin vmax dyavg dymax rotation".split()
+_KNOWN = (
+    "cam0",
+    "cam1",
+    "doffs",
+    "baseline",
+    "width",
+    "height",
+    "ndisp",
+    "isint",
+    "vmin",
+    "vmax",
+    "dyavg",
+    "dymax",
+    "rotation",
+)
 DOFFS_TOLERANCE_PX = 0.01
 
 

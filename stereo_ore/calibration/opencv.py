@@ -28,9 +28,13 @@ from stereo_ore.types import F64, CameraModel, StereoCalibration
 
 log = logging.getLogger(__name__)
 
-_MODEL = re.compile(r"(camera|distortion|lens|projection)?_?(model|type)$|fish_?eye(_?model)?$|(is|use)_?fish_?eye$", re.I)
+_MODEL = re.compile(
+    r"(camera|distortion|lens|projection)?_?(model|type)$|fish_?eye(_?model)?$|(is|use)_?fish_?eye$", re.I
+)
 _EQUIDISTANT = re.compile(r"fish|equidist|kannala|kb[48]?$", re.I)
-_PINHOLE = re.compile(r"pinhole|plumb|radtan|rad_?tan|brown|rational|opencv|standard|perspective|normal|none|prism", re.I)
+_PINHOLE = re.compile(
+    r"pinhole|plumb|radtan|rad_?tan|brown|rational|opencv|standard|perspective|normal|none|prism", re.I
+)
 _HALVES = (("intrinsics", "extrinsics"), ("intrinsic", "extrinsic"))
 
 
@@ -104,9 +108,7 @@ def _size(path: Path, found: dict[str, F64]) -> list[float] | None:
     return sizes[0] if sizes else None
 
 
-def _projection(
-    path: Path, unread: dict[str, Any], hints: Hints, found: dict[str, F64], fisheye: bool
-) -> Projection:
+def _projection(path: Path, unread: dict[str, Any], hints: Hints, found: dict[str, F64], fisheye: bool) -> Projection:
     """What the file or, where it is silent, the user says; its entries about that are taken out of `unread`."""
     said = set[Projection](["equidistant"] if fisheye else [])
     for key in [key for key in unread if _MODEL.search(key)]:
@@ -126,7 +128,7 @@ def _projection(
             "if they are those of cv2.fisheye, say --projection equidistant",
             path,
         )
-    return hints.projection or next(iter(said), "pinhole")
+    return hints.projection or ("equidistant" if "equidistant" in said else "pinhole")
 
 
 def _check_lenses(path: Path, found: dict[str, F64], projection: Projection) -> None:

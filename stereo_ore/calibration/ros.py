@@ -95,8 +95,10 @@ def combine(files: tuple[Path, Path], left: dict[str, Any], right: dict[str, Any
 
 def _check(file: Path, eye: dict[str, Any]) -> None:
     P = eye["P"].reshape(3, 4)
-    if not eye["K"].any() or P[0, 0] == 0:
-        raise CalibrationError("all of K or P is zero: this camera was never calibrated", file=file, key="camera_matrix")
+    if not eye["K"].any() or P[0, 0] == 0 or not eye["R"].any():
+        raise CalibrationError(
+            "all of K, R or P is zero: this camera was never calibrated", file=file, key="camera_matrix"
+        )
     if np.array_equal(P, np.eye(3, 4)) and eye["K"][0] != 1:
         remedy = "Give the two .cameramodel files, which hold it"
         raise CalibrationError("holds no pose: P is [I | 0], as mrcal writes it", file=file, key="P", remedy=remedy)
@@ -117,7 +119,7 @@ def _windowed(file: Path, eye: dict[str, Any]) -> dict[str, Any]:
     size = (width or full[0], height or full[1])
     if x + size[0] > full[0] or y + size[1] > full[1]:
         raise CalibrationError(
-            f"the window of {size[0]:g}×{size[1]:g} px at {x:g}, {y:g} does not fit images of {full[0]:g}×{full[1]:g} px:"
+            f"the window of {size[0]:g}×{size[1]:g} px at {x:g}, {y:g} is not in images of {full[0]:g}×{full[1]:g} px:"
             " either the size is that of the window and K that of the whole sensor, or K is that of the window already",
             file=file,
             key="roi",

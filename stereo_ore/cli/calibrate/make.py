@@ -16,9 +16,13 @@ if TYPE_CHECKING:
     from stereo_ore.calibration.detect import Board
     from stereo_ore.calibration.hand_eye import ArmView
     from stereo_ore.calibration.touched import HandEyeResult
-    from stereo_ore.types import F64
+    from stereo_ore.sources.base import Source
+    from stereo_ore.types import F64, U8, StereoPair
 
 log = logging.getLogger(__name__)
+
+_TRIED = 3
+"""Pairs in which a board of another size is looked for, when the one that was said is in none."""
 
 
 def stereo(
@@ -76,7 +80,7 @@ def hand_eye(
     from stereo_ore.calibration.touched import fit_touched
     from stereo_ore.cli import EXIT_QUALITY
 
-    calibration = load_any(calib, None, size, "m", None)
+    calibration = load_any(calib, None, size, None, None)
     if points is not None:
         result = fit_touched(read_touched(points), calibration)
     elif poses is not None and source is not None and board is not None and square_mm is not None:
@@ -98,10 +102,7 @@ def _board(sides: str, square_mm: float, marker_mm: float | None, dictionary: st
 
 def _views(source: Path, board: Board) -> tuple[list[BoardView], tuple[int, int]]:
     """The board in each pair of a recording, and the size of its images."""
-    import cv2
-    import numpy as np
-
-    from stereo_ore.calibration.board import BoardView, find_view
+    from stereo_ore.calibration.board import BoardView, find_view, one_layout
     from stereo_ore.sources import open_source
 
     recording = open_source(source)
@@ -119,13 +120,49 @@ def _views(source: Path, board: Board) -> tuple[list[BoardView], tuple[int, int]
             views.append(BoardView(name, reason=f"images of {width}×{height} px, the others have {size}"))
             continue
         size = width, height
-        left, right = (
-            np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) for image in (pair.left, pair.right)
-        )
-        views.append(find_view(name, left, right, board))
+        views.append(find_view(name, *_grey(pair), board))
     if size is None:
         raise CalibrationError("holds no pair that can be read", file=source)
+    if not any(view.corners for view in views):
+        _refuse_squares(recording, board)
+    views = one_layout(views)
+    if any(view.legacy for view in views):
+        log.info("the board has the ChArUco layout of OpenCV before 4.6")
     return views, size
+
+
+def _refuse_squares(recording: Source, board: Board) -> None:
+    """Say so where a board of one corner less or more each way is seen: squares were counted, or too few corners.
+
+    Raises
+    ------
+    CalibrationError
+        With the board that is seen.
+    """
+    from dataclasses import replace
+
+    from stereo_ore.calibration.board import find_view
+
+    for step, remark in ((-1, ", one less than squares"), (1, "")):
+        columns, rows = board.columns + step, board.rows + step
+        if min(columns, rows) < 3 or (board.marker_m is None and columns == rows):
+            continue
+        other = replace(board, columns=columns, rows=rows)
+        for index, name in enumerate(recording.names[:_TRIED]):
+            if find_view(name, *_grey(recording.read(index)), other).corners is not None:
+                raise CalibrationError(
+                    f"no board of {board.columns}x{board.rows} inner corners is seen, but one of {columns}x{rows}",
+                    key="--board",
+                    remedy=f"Count inner corners{remark}: --board {columns}x{rows}",
+                )
+
+
+def _grey(pair: StereoPair) -> tuple[U8, U8]:
+    import cv2
+    import numpy as np
+
+    left, right = (np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) for image in (pair.left, pair.right))
+    return left, right
 
 
 def _arm_views(source: Path, board: Board, poses: dict[str, F64]) -> list[ArmView]:
