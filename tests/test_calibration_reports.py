@@ -127,7 +127,9 @@ KINDS = {
     "04-camera-info-d-lengths/brown/left.yaml": ({}, "pinhole", (), (-60 / 799.1, 0, 0)),
     "04-camera-info-d-lengths/empty/left.yaml": ({}, "pinhole", (), (-60 / 799.1, 0, 0)),
     "04-camera-info-d-lengths/pinhole/left.yaml": ({}, "pinhole", (), (-60 / 799.1, 0, 0)),
-    "04-camera-info-d-lengths/fisheye/left.yaml": ({}, "equidistant", (0.02, -0.01, 0.003, 0.0004), (-60 / 799.1, 0, 0)),
+    "04-camera-info-d-lengths/fisheye/left.yaml": (
+        {}, "equidistant", (0.02, -0.01, 0.003, 0.0004), (-60 / 799.1, 0, 0),
+    ),
     "04-camera-info-d-lengths/plumb4/left.yaml": ({}, "pinhole", (-0.17, 0.03, 0.0001, 0.0002), (-60 / 799.1, 0, 0)),
     "04-camera-info-d-lengths/plumb8/left.yaml": (
         {}, "pinhole", (-0.0306, 0.0352, -0.00014, -0.00015, -0.012), (-60 / 799.1, 0, 0),
@@ -204,12 +206,8 @@ def test_09_calib_other_size(shared_data: Path) -> None:
 @pytest.mark.parametrize("name", ["xi", "D_LEFT_EXTRA", "lens_k4", "fisheye_coeffs", "radial1", "k7", "distortion_b"])
 def test_a_lens_entry_that_is_not_understood_is_never_dropped(name: str, tmp_path: Path) -> None:
     path = write_opencv(example_rig(), tmp_path / "camera.yml", changes={name: np.array([[0.1, 0.2, 0.3]])})
-    try:
-        read = load(path)
-    except CalibrationError as refusal:
-        assert name in str(refusal)
-    else:
-        pytest.fail(f"{name} was dropped: {read.left.distortion}")
+    with pytest.raises(CalibrationError, match=name):
+        load(path)
 
 
 def test_two_sets_of_coefficients_that_differ_are_refused(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""``calibrate stereo`` and ``hand-eye``: calibrations from recordings."""
+"""``calibrate stereo``: a calibration from a recording of a board."""
 
 from __future__ import annotations
 
@@ -8,16 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from stereo_ore.cli.calibrate.options import Size, load_any, two_numbers, writing
+from stereo_ore.cli.calibrate.options import two_numbers, writing
 from stereo_ore.errors import CalibrationError, FrameError
 
 if TYPE_CHECKING:
     from stereo_ore.calibration.board import BoardView
     from stereo_ore.calibration.detect import Board
-    from stereo_ore.calibration.hand_eye import ArmView
-    from stereo_ore.calibration.touched import HandEyeResult
     from stereo_ore.sources.base import Source
-    from stereo_ore.types import F64, U8, StereoPair
+    from stereo_ore.types import U8, StereoPair
 
 log = logging.getLogger(__name__)
 
@@ -45,8 +43,8 @@ def stereo(
     from stereo_ore.calibration import save
     from stereo_ore.calibration.board import calibrate_stereo, draw_coverage, report
 
-    target = _board(board, square_mm, marker_mm, dictionary)
-    views, size = _views(source, target)
+    target = board_of(board, square_mm, marker_mm, dictionary)
+    views, size = find_views(source, target)
     result = calibrate_stereo(views, target, size, int(coefficients))
     typer.echo(report(result))
     with writing(out):
@@ -56,51 +54,15 @@ def stereo(
             draw_coverage(result, picture)
 
 
-def hand_eye(
-    calib: Annotated[Path, typer.Option("--calib", help="Calibration of the camera, in any known format.")],
-    out: Annotated[Path, typer.Option("--out", help="Site YAML to write.")],
-    source: Annotated[Path | None, typer.Argument(help="With --poses: recorded pairs of the board.")] = None,
-    points: Annotated[Path | None, typer.Option(help="CSV of touched points.")] = None,
-    poses: Annotated[Path | None, typer.Option(help="CSV of the arm's pose for each pair.")] = None,
-    board: Annotated[str | None, typer.Option(help="Inner corners along the two sides: CxR.")] = None,
-    square_mm: Annotated[float | None, typer.Option(help="Side of a square, measured.")] = None,
-    marker_mm: Annotated[float | None, typer.Option(help="ChArUco: side of a marker.")] = None,
-    dictionary: Annotated[str, typer.Option(help="ChArUco: dictionary of cv2.aruco.")] = "DICT_5X5_100",
-    mount: Annotated[Literal["fixed", "tool"], typer.Option(help="Where the camera is.")] = "fixed",
-    size: Size = None,
-    site: Annotated[Path | None, typer.Option(help="Site file to take the rest from.")] = None,
-    limit_mm: Annotated[float, typer.Option(help="Exit code 3 when the residual (RMS) is greater.")] = 50.0,
-) -> None:
-    """Find where the camera is in the arm's frame, from touched points or from poses with a board.
-
-    Example: `stereo-ore calibrate hand-eye --points touched.csv --calib ours.yaml --site site.yaml --out new.yaml`
-    """
-    from stereo_ore.calibration.hand_eye import fit_hand_eye
-    from stereo_ore.calibration.tables import read_poses, read_touched
-    from stereo_ore.calibration.touched import fit_touched
-    from stereo_ore.cli import EXIT_QUALITY
-
-    calibration = load_any(calib, None, size, None, None)
-    if points is not None:
-        result = fit_touched(read_touched(points), calibration)
-    elif poses is not None and source is not None and board is not None and square_mm is not None:
-        target = _board(board, square_mm, marker_mm, dictionary)
-        result = fit_hand_eye(_arm_views(source, target, read_poses(poses)), target, calibration, mount)
-    else:
-        raise typer.BadParameter("give --points, or SOURCE with --poses, --board and --square-mm")
-    _write_site(result, out, site)
-    if result.rms_mm > limit_mm:
-        raise typer.Exit(EXIT_QUALITY)
-
-
-def _board(sides: str, square_mm: float, marker_mm: float | None, dictionary: str) -> Board:
+def board_of(sides: str, square_mm: float, marker_mm: float | None, dictionary: str) -> Board:
+    """The board that the options describe."""
     from stereo_ore.calibration.detect import Board
 
     columns, rows = two_numbers(sides.lower(), "x", "--board")
     return Board(columns, rows, square_mm / 1000, None if marker_mm is None else marker_mm / 1000, dictionary)
 
 
-def _views(source: Path, board: Board) -> tuple[list[BoardView], tuple[int, int]]:
+def find_views(source: Path, board: Board) -> tuple[list[BoardView], tuple[int, int]]:
     """The board in each pair of a recording, and the size of its images."""
     from stereo_ore.calibration.board import BoardView, find_view, one_layout
     from stereo_ore.sources import open_source
@@ -163,44 +125,3 @@ def _grey(pair: StereoPair) -> tuple[U8, U8]:
 
     left, right = (np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) for image in (pair.left, pair.right))
     return left, right
-
-
-def _arm_views(source: Path, board: Board, poses: dict[str, F64]) -> list[ArmView]:
-    """The pairs of a recording in which both eyes see the board and whose pose is known."""
-    from stereo_ore.calibration.hand_eye import ArmView
-
-    if not board.has_one_reading:
-        problem = "a chessboard whose columns and rows add to an even number looks the same turned by 180°"
-        raise CalibrationError(problem, key="--board", remedy="Use one with an odd sum (9x6), or ChArUco")
-    views, _ = _views(source, board)
-    for view in views:
-        if view.name not in poses:
-            log.warning("%s: no pose in the table", view.name)
-        elif view.corners is None:
-            log.warning("%s: %s", view.name, view.reason)
-    return [
-        ArmView(view.name, poses[view.name], *view.corners)
-        for view in views
-        if view.corners is not None and view.name in poses
-    ]
-
-
-def _write_site(result: HandEyeResult, out: Path, base: Path | None) -> None:
-    """Print the residuals and write the site."""
-    from stereo_ore.site import HandEyeRecord, save_arm
-
-    for name, residual, used in zip(result.names, result.residual_mm, result.used, strict=True):
-        typer.echo(f"{name:<20} {residual:8.1f} mm{'' if used else '  dropped: does not agree with the others'}")
-    used_count = int(result.used.sum())
-    typer.echo(
-        f"\n{used_count} of {len(result.names)} used, RMS {result.rms_mm:.1f} mm, greatest {result.max_mm:.1f} mm"
-    )
-    record = HandEyeRecord(
-        method=result.method,
-        used=used_count,
-        dropped=result.dropped,
-        rms_mm=round(result.rms_mm, 3),
-        max_mm=round(result.max_mm, 3),
-    )
-    with writing(out):
-        save_arm(result.T_arm_camera, record, out, base)
