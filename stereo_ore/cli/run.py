@@ -153,7 +153,7 @@ def _calibration(recording: Source, calib: Path | None) -> StereoCalibration:
     from stereo_ore.io.calibration import load
 
     if calib:
-        return load(calib, image_size=_frame_size(recording))
+        return load(calib, recorded_size=_frame_size(recording))
     if recording.calibration is None:
         raise SourceError("carries no calibration", file=recording.path, remedy="Give one with --calib")
     log.info("calibration: camera_info of the recording")
