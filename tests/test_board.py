@@ -11,9 +11,9 @@ from rigs import SIZE, SMALL, example_rig, rectified_to_raw, rendered, rendered_
 
 from stereo_ore.calibrate.board import BoardView, calibrate_stereo, draw_coverage, find_view, report
 from stereo_ore.calibrate.detect import Board, Corners, find_corners, plane_residual
-from stereo_ore.calibrate.pose import from_vector
 from stereo_ore.errors import CalibrationError
 from stereo_ore.io.calibration import load
+from stereo_ore.io.calibration.geometry import from_vector
 from stereo_ore.transforms import apply
 from stereo_ore.types import F64
 

@@ -55,7 +55,8 @@ def test_opencv_round_trip(rig, tmp_path: Path) -> None:
 @MANY
 @given(rig=raw_rigs())
 def test_ros_round_trip(rig, tmp_path: Path) -> None:
-    assert_round_trip(rig, write_ros(rig, tmp_path), 1e-8)
+    # cv2.stereoRectify, by which the files are made, loses turns below 1e-5 rad.
+    assert_round_trip(rig, write_ros(rig, tmp_path), 1e-5)
 
 
 @MANY
@@ -186,7 +187,7 @@ def test_a_cut_opencv_file_and_one_eye_alone_are_refused(tmp_path: Path, shared_
 
 ROS_FAULTS = {
     "uncalibrated": ({"camera_matrix": [0.0] * 9}, "never calibrated"),
-    "eyes exchanged": ({"projection_matrix": [500.0, 0, 640, -60, 0, 500, 360, 0, 0, 0, 1, 0]}, "swapped"),
+    "eyes exchanged": ({"projection_matrix": [500.0, 0, 640, -160, 0, 500, 360, 0, 0, 0, 1, 0]}, "swapped"),
     "another model": ({"distortion_model": "weird"}, "weird"),
     "no rotation": ({"rectification_matrix": [2.0, 0, 0, 0, 2, 0, 0, 0, 2]}, "orthonormal"),
     "short": ({"camera_matrix": [1.0, 2.0]}, "9 numbers"),

@@ -29,6 +29,10 @@ def test_there_and_back_keeps_every_column(suffix: str, points: int, tmp_path: P
     clouds.write(path, wanted)
     got = clouds.read(path)
     assert got.dtype.names == wanted.dtype.names
+    if suffix == ".pcd":  # coordinates and normals have 4 bytes there
+        wanted = wanted.astype(
+            [(n, "f4" if kind == np.float64 else kind) for n, (kind, _) in wanted.dtype.fields.items()]
+        )
     for name in wanted.dtype.names or ():
         np.testing.assert_array_equal(got[name].astype(wanted.dtype[name]), wanted[name])
     assert list(tmp_path.iterdir()) == [path]
@@ -122,7 +126,7 @@ DAMAGED = {
     "flat.ply": (b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n", "no column y"),
     "huge.pcd": (PCD.format(count=10**13, data="binary").encode(), "claims"),
     "huge-ascii.pcd": (PCD.format(count=10**13, data="ascii").encode(), "claims"),
-    "packed.pcd": (PCD.format(count=1, data="binary_compressed").encode(), "can't be read"),
+    "packed.pcd": (PCD.format(count=1, data="binary_compressed").encode(), "claims"),
     "count.pcd": (PCD.format(count="many", data="ascii").encode(), "POINTS"),
     "not.pcd": (b"hello\n", "lacks FIELDS"),
     "type.pcd": (PCD.format(count=1, data="ascii").replace("F F F", "F F Q").encode(), "Q4"),

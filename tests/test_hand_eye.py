@@ -10,11 +10,12 @@ from rigs import SIZE, example_rig, rectified_to_raw, rendered_pair, small_rig
 
 from stereo_ore.calibrate.detect import Board, Corners
 from stereo_ore.calibrate.hand_eye import ArmView, Mount, fit_hand_eye
-from stereo_ore.calibrate.pose import fit_rigid, from_vector, to_vector
+from stereo_ore.calibrate.pose import fit_rigid
 from stereo_ore.calibrate.tables import POINT_COLUMNS, read_poses, read_touched
 from stereo_ore.calibrate.touched import HandEyeResult, Touched, fit_touched
 from stereo_ore.errors import CalibrationError
 from stereo_ore.io.calibration import save
+from stereo_ore.io.calibration.geometry import from_vector, to_vector
 from stereo_ore.io.site import load_site
 from stereo_ore.transforms import apply, inverse, nearest_rotation
 from stereo_ore.types import F64

@@ -8,8 +8,8 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from stereo_ore.calibrate.pose import from_vector
 from stereo_ore.errors import ConfigError
+from stereo_ore.io.calibration.geometry import from_vector
 from stereo_ore.io.site import HandEyeRecord, load_site, save_arm, save_site
 from stereo_ore.transforms import apply, inverse, rotation_fault
 from stereo_ore.types import Plane, Site, Volume
@@ -132,7 +132,25 @@ BROKEN = {
     "unknown frame": ({"working_volume__frame": "world"}, "'arm' or 'camera'"),
     "zero normal": ({"grizzly__plane__normal": [0, 0, 0]}, "zero"),
     "no opening": ({"grizzly__opening_m": 0}, "opening_m"),
-    "opening in millimetres": ({"grizzly__opening_m": 300}, "opening_m"),
+    "opening in millimetres": ({"grizzly__opening_m": 300}, "grizzly.opening_m: 300.0 m is more than 3 m"),
+    "bars in centimetres": ({"grizzly__bar_width_m": 7.5}, "millimetres (centimetres) given for metres?"),
+    "opening in kilometres": ({"grizzly__opening_m": 0.0003}, "is it in metres?"),
+    "camera in centimetres": (
+        {"arm_from_camera": [[1, 0, 0, 40], [0, -0.966, 0.259, -65], [0, -0.259, -0.966, 260], [0, 0, 0, 1]]},
+        "arm_from_camera: [40",
+    ),
+    "plane in millimetres": (
+        {"grizzly__plane": {"frame": "camera", "normal": [0, 0, 1], "offset_m": 2600}},
+        "grizzly.plane.offset_m: 2600.0",
+    ),
+    "reach in millimetres": (
+        {"reach": {"min_m": [-300, -300, -200], "max_m": [150, 150, 1000]}},
+        "reach.min_m: [-300.0, -300.0, -200.0] m",
+    ),
+    "volume in centimetres": (
+        {"working_volume": {"frame": "arm", "min_m": [-170, -120, 0], "max_m": [170, 120, 100]}},
+        "working_volume.min_m",
+    ),
     "true": ({"grizzly__opening_m": True}, "true or false"),
     "plane behind the camera": ({"grizzly__plane__offset_m": 6.0}, "behind the camera"),
     "volume behind the camera": (
@@ -160,3 +178,48 @@ def test_the_arm_frame_needs_the_arm(tmp_path: Path) -> None:
 def test_all_faults_are_listed_at_once(tmp_path: Path) -> None:
     message = refused(write(tmp_path, grizzly__opening_m=-1, grizzly__colour="red", reach=3))
     assert all(word in message for word in ("3 faults", "opening_m", "colour", "reach"))
+
+
+def test_04_site_units(shared_data: Path) -> None:
+    folder = shared_data / "reports2/04-site-units"
+    assert load_site(folder / "reach_m.yaml").reach_max_m.tolist() == [0.15, 0.15, 1.0]
+    for name, key in (("reach_mm", "reach.min_m: [-300"), ("arm_cm", "arm_from_camera: [14.064")):
+        with pytest.raises(ConfigError) as fault:
+            load_site(folder / f"{name}.yaml")
+        assert key in str(fault.value)
+        assert "millimetres (centimetres) given for metres?" in str(fault.value)
+
+
+def lengths(value: object, way: tuple = ()) -> list[tuple]:
+    """Ways to all lengths of a site document."""
+    if isinstance(value, dict):
+        named = [(key, part) for key, part in value.items() if key not in ("version", "normal", "hand_eye")]
+        return [found for key, part in named for found in lengths(part, (*way, key))]
+    if isinstance(value, list):
+        if way == ("arm_from_camera",):
+            return [(*way, row, 3) for row in range(3)]
+        return [found for i, part in enumerate(value) for found in lengths(part, (*way, i))]
+    return [way] if isinstance(value, int | float) and value else []
+
+
+def test_a_length_in_another_unit_is_an_error_or_read_as_it_stands(tmp_path: Path) -> None:
+    """Of each site file one length a thousand and a hundred times: never a value that is neither told nor taken."""
+    document = yaml.safe_load(EXAMPLE.read_text()) | {"reach": {"min_m": [-1.5, -1.2, 0.1], "max_m": [1.5, 1.2, 2.0]}}
+    ways = lengths(document)
+    assert len(ways) > 15
+    told = 0
+    for way in ways:
+        for factor in (1000, 100):
+            changed = yaml.safe_load(yaml.safe_dump(document))
+            part = changed
+            for key in way[:-1]:
+                part = part[key]
+            part[way[-1]] *= factor
+            (tmp_path / "site.yaml").write_text(yaml.safe_dump(changed))
+            try:
+                load_site(tmp_path / "site.yaml")
+            except ConfigError:
+                told += 1
+            else:
+                assert factor == 100 or abs(part[way[-1]]) <= 25, way
+    assert told >= 2 * len(ways) - 4

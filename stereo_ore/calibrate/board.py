@@ -25,11 +25,15 @@ _MODEL_FLAGS = {4: cv2.CALIB_FIX_K3, 5: 0, 8: cv2.CALIB_RATIONAL_MODEL}
 
 @dataclass(frozen=True)
 class BoardView:
-    """One pair of images: the corners that both eyes see, ids (N,), pixels (N, 2); or why there are none."""
+    """One pair of images: the corners that both eyes see, ids (N,), pixels (N, 2); or why there are none.
+
+    `legacy`: they were found in the ChArUco layout of OpenCV before 4.6.
+    """
 
     name: str
     corners: tuple[Corners, Corners] | None = None
     reason: str = ""
+    legacy: bool = False
     left_rms_px: float = float("nan")
     right_rms_px: float = float("nan")
     vertical_rms_px: float = float("nan")
@@ -66,7 +70,12 @@ class BoardResult:
 
 
 def find_view(name: str, left: U8, right: U8, board: Board) -> BoardView:
-    """The board in a pair of grey images."""
+    """The board in a pair of grey images; of a ChArUco board, in the layout in which more corners are found."""
+    trials = [_find_view(name, left, right, layout) for layout in board.layouts]
+    return max(trials, key=lambda view: 0 if view.corners is None else len(view.corners[0].ids))
+
+
+def _find_view(name: str, left: U8, right: U8, board: Board) -> BoardView:
     found = find_corners(left, board), find_corners(right, board)
     missing = [eye for eye, corners in zip(("left", "right"), found, strict=True) if corners is None]
     if found[0] is None or found[1] is None:
@@ -75,7 +84,19 @@ def find_view(name: str, left: U8, right: U8, board: Board) -> BoardView:
     if len(ids) < 6:
         return BoardView(name, reason=f"only {len(ids)} corners are seen by both eyes")
     lefts, rights = Corners(ids, found[0].px[i]), Corners(ids, found[1].px[j])
-    return BoardView(name, (lefts, same_reading(lefts, rights, board)))
+    return BoardView(name, (lefts, same_reading(lefts, rights, board)), legacy=board.legacy)
+
+
+def one_layout(views: Sequence[BoardView]) -> list[BoardView]:
+    """The views, without those in whose layout the fewer corners were found: a board has one layout."""
+    corners = [
+        sum(len(v.corners[0].ids) for v in views if v.corners and v.legacy is legacy) for legacy in (False, True)
+    ]
+    legacy = corners[1] > corners[0]
+    reason = "corners fit the other layout of ChArUco boards only"
+    return [
+        view if view.corners is None or view.legacy is legacy else BoardView(view.name, reason=reason) for view in views
+    ]
 
 
 def calibrate_stereo(

@@ -26,7 +26,7 @@ def report(result: CheckResult) -> str:
             + ", ".join(f"{a:+.4f} ± {s:.4f}" for a, s in zip(turn, sigma, strict=True))
             + " degrees about x, y, z",
             f"disparity               {low:.1f} … {middle:.1f} … {high:.1f} px, "
-            f"distance {rig.depth(high):.2f} … {rig.depth(middle):.2f} … {rig.depth(low):.2f} m",
+            f"distance {' … '.join(_metres(float(rig.depth(d))) for d in (high, middle, low))}",
             "",
             "row differences over the image [px]:",
             *(" ".join("    ·" if np.isnan(cell) else f"{cell:+5.2f}" for cell in row) for row in residual.map_px),
@@ -34,11 +34,16 @@ def report(result: CheckResult) -> str:
     for point in result.measured:
         lines.append(
             f"known {point.known.distance_m:.3f} m at {point.known.u:g}, {point.known.v:g}: "
-            f"measured {point.distance_m:.3f} m, disparity {point.disparity_px:.2f} px, "
+            f"measured {_metres(point.distance_m, 3)}, disparity {point.disparity_px:.2f} px, "
             f"should be {point.expected_px:.2f} px"
         )
     findings = [f"{finding.severity}: {finding.code}: {finding.text}" for finding in result.findings]
     return "\n".join([*lines, "", *findings, f"verdict: {result.verdict}"])
+
+
+def _metres(distance: float, digits: int = 2) -> str:
+    """A distance as text; disparities of zero and less stand for none."""
+    return f"{distance:.{digits}f} m" if np.isfinite(distance) else "beyond infinity"
 
 
 def draw(result: CheckResult, left: U8, path: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -26,6 +26,8 @@ class Board:
     square_m: float
     marker_m: float | None = None
     dictionary: str = "DICT_5X5_100"
+    legacy: bool = False
+    """ChArUco in the layout of OpenCV before 4.6, which differs for an even number of rows of squares."""
 
     def __post_init__(self) -> None:
         if min(self.columns, self.rows) < 3 or self.square_m <= 0:
@@ -50,6 +52,12 @@ class Board:
     def has_one_reading(self) -> bool:
         """Whether the board turned by 180° looks different (odd columns + rows, or ChArUco)."""
         return self.marker_m is not None or (self.columns + self.rows) % 2 == 1
+
+    @property
+    def layouts(self) -> tuple[Board, ...]:
+        """The board as given and, where that is another one, in the older layout."""
+        has_two = self.marker_m is not None and self.rows % 2 == 1 and not self.legacy
+        return (self, replace(self, legacy=True)) if has_two else (self,)
 
 
 LEAST_SIDE_PX = 32
@@ -141,7 +149,9 @@ def _first_square_is_dark(gray: U8, grid: F64) -> bool:
 def _charuco(gray: U8, board: Board, marker_m: float) -> Corners | None:
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
     size = (board.columns + 1, board.rows + 1)
-    detector = cv2.aruco.CharucoDetector(cv2.aruco.CharucoBoard(size, board.square_m, marker_m, dictionary))
+    target = cv2.aruco.CharucoBoard(size, board.square_m, marker_m, dictionary)
+    target.setLegacyPattern(board.legacy)
+    detector = cv2.aruco.CharucoDetector(target)
     px, ids, _, _ = detector.detectBoard(gray)
     if ids is None or len(ids) < FEWEST_CORNERS:
         return None

@@ -14,10 +14,11 @@ import cv2
 import numpy as np
 
 from stereo_ore.calibrate.detect import Board, Corners
-from stereo_ore.calibrate.points import rectify_points
-from stereo_ore.calibrate.pose import fit_rigid, from_vector, refine, to_vector
+from stereo_ore.calibrate.points import rectify_points, triangulate
+from stereo_ore.calibrate.pose import fit_rigid, refine
 from stereo_ore.calibrate.touched import HandEyeResult
 from stereo_ore.errors import CalibrationError
+from stereo_ore.io.calibration.geometry import from_vector, to_vector
 from stereo_ore.stages.rectify import make_rectifier
 from stereo_ore.transforms import apply, inverse, nearest_rotation
 from stereo_ore.types import F64, Rig, StereoCalibration
@@ -30,6 +31,9 @@ OUTLIER_FACTOR = 4.0
 OUTLIER_FLOOR_MM = 5.0
 ROBUST_M = 0.001
 """Distance beyond which a corner pulls with a constant force, so that a wrong pose stands out from the others."""
+
+LIMIT_FACTOR = 6.0
+"""A good fit leaves this many times the board's own residual at most; arms are less certain than boards."""
 
 METHODS = ("TSAI", "PARK", "HORAUD", "ANDREFF", "DANIILIDIS")
 
@@ -80,8 +84,26 @@ def fit_hand_eye(
         worst = int(np.argmax(np.where(used, spread, -1)))
         if spread[worst] <= limit:
             names = tuple(view.name for view in views)
-            return HandEyeResult(X, f"{method}, least spread of the corners", names, spread, used)
+            own = board_poses(views, board, calibration)[1]
+            return HandEyeResult(X, f"{method}, least spread of the corners", names, spread, used, own)
         used = used & (np.arange(len(seen)) != worst)
+
+
+def board_poses(views: Sequence[ArmView], board: Board, calibration: StereoCalibration) -> tuple[list[F64], float]:
+    """``T_camera_board`` of each view, and the residual [mm] that a good fit may have.
+
+    That is `LIMIT_FACTOR` times the root mean square distance of the triangulated corners from the fitted board: what
+    the images allow, whatever the arm says.
+    """
+    rig = make_rectifier(calibration).rig
+    poses, squares = [], []
+    for view in views:
+        ids, i, j = np.intersect1d(view.left.ids, view.right.ids, return_indices=True)
+        B = _see(view, board, calibration, rig, "tool").B
+        seen = triangulate(calibration, view.left.px[i], view.right.px[j])
+        squares.append(((apply(B, board.points[ids]) - seen) ** 2).sum(1))
+        poses.append(B)
+    return poses, LIMIT_FACTOR * 1000 * float(np.sqrt(np.nanmean(np.concatenate(squares)))) if squares else float("nan")
 
 
 def _see(view: ArmView, board: Board, calibration: StereoCalibration, rig: Rig, mount: Mount) -> _Seen:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
-from stereo_ore.io.calibration.geometry import rotation_matrix
+from stereo_ore.io.calibration.geometry import from_vector
 from stereo_ore.transforms import apply, nearest_rotation
 from stereo_ore.types import F64, Rig
 
@@ -17,18 +16,6 @@ def fit_rigid(target: F64, source: F64) -> F64:
     T[:3, :3] = nearest_rotation((target - middle_target).T @ (source - middle_source))
     T[:3, 3] = middle_target - T[:3, :3] @ middle_source
     return T
-
-
-def from_vector(vector: F64) -> F64:
-    """The transform of a rotation vector [rad] and a translation, (6,)."""
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = rotation_matrix(vector[:3]), vector[3:]
-    return T
-
-
-def to_vector(T: F64) -> F64:
-    """Rotation vector [rad] and translation, (6,)."""
-    return np.concatenate([np.asarray(cv2.Rodrigues(T[:3, :3])[0], np.float64).ravel(), T[:3, 3]])
 
 
 def image_error(T_camera_source: F64, points: F64, left: F64, right: F64, rig: Rig) -> F64:

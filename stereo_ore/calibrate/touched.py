@@ -11,17 +11,36 @@ import numpy as np
 from stereo_ore.calibrate.points import rectify_points, triangulate
 from stereo_ore.calibrate.pose import fit_rigid, image_error, refine
 from stereo_ore.errors import CalibrationError
+from stereo_ore.io.calibration.geometry import UNITS_M
 from stereo_ore.stages.rectify import make_rectifier
 from stereo_ore.transforms import apply, inverse
 from stereo_ore.types import F64, Mask, StereoCalibration
 
 FEWEST_POINTS = 3
+LEAST_LIMIT_MM, GREATEST_LIMIT_MM = 5.0, 50.0
+MOST_DROPPED = 1 / 3
 LEAST_SPREAD_M = 0.02
 """Distance of the points from their common line, root mean square."""
 
 OUTLIER_PX = 3.0
 OUTLIER_FACTOR = 4.0
 _MOST_TRIPLES = 400
+
+SAME_SCALE = 0.25
+"""Share by which distances of touched points may differ from those seen, before the unit is in doubt."""
+
+MIRRORED_SHARE, MIRRORED_FLOOR_MM = 0.3, 10.0
+TOUCH_PX, LIMIT_SIGMAS = 0.5, 3.0
+"""Touched points are clicked to half a pixel; a good fit leaves three times the depth noise of that at most."""
+
+_UNIT_WORDS = {
+    "m": "metres",
+    "dm": "decimetres",
+    "cm": "centimetres",
+    "mm": "millimetres",
+    "inch": "inches",
+    "ft": "feet",
+}
 
 
 @dataclass(frozen=True)
@@ -36,13 +55,27 @@ class Touched:
 
 @dataclass(frozen=True)
 class HandEyeResult:
-    """``T_arm_camera`` and its witnesses: a name, a residual [mm] and whether it was used for each point or pose."""
+    """``T_arm_camera`` and its witnesses: a name, a residual [mm] and whether it was used for each point or pose.
+
+    `own_mm` is the residual [mm] that the images alone allow.
+    """
 
     T_arm_camera: F64
     method: str
     names: tuple[str, ...]
     residual_mm: F64
     used: Mask
+    own_mm: float = 0.0
+
+    @property
+    def limit_mm(self) -> float:
+        """The root mean square residual beyond which the fit explains nothing, from what the images allow."""
+        return limit_from(self.own_mm)
+
+    @property
+    def explains(self) -> bool:
+        """Whether most points or poses agree."""
+        return int((~self.used).sum()) <= MOST_DROPPED * len(self.used)
 
     @property
     def rms_mm(self) -> float:
@@ -58,6 +91,11 @@ class HandEyeResult:
     def dropped(self) -> tuple[str, ...]:
         """Names of the outliers."""
         return tuple(name for name, used in zip(self.names, self.used, strict=True) if not used)
+
+
+def limit_from(own_mm: float) -> float:
+    """The greatest residual [mm] of a fit that explains its data, from what the images allow [mm]."""
+    return float(np.clip(own_mm, LEAST_LIMIT_MM, GREATEST_LIMIT_MM))
 
 
 def fit_touched(points: Sequence[Touched], calibration: StereoCalibration) -> HandEyeResult:
@@ -78,6 +116,7 @@ def fit_touched(points: Sequence[Touched], calibration: StereoCalibration) -> Ha
     if behind := [point.name for point, xyz in zip(points, seen, strict=True) if not np.isfinite(xyz).all()]:
         problem = f"{', '.join(behind)}: the pixels meet behind the camera; are left and right exchanged?"
         raise CalibrationError(problem, key="points")
+    _check_unit(arm, seen)
     left, right = rectify_points(calibration, pixels[:, :2], pixels[:, 2:])
     rig = make_rectifier(calibration).rig
 
@@ -91,8 +130,62 @@ def fit_touched(points: Sequence[Touched], calibration: StereoCalibration) -> Ha
         _check_spread(arm[used], "points that agree")
         T = refine(fit_rigid(seen[used], arm[used]), arm[used], left[used], right[used], rig)
     residual = 1000 * np.linalg.norm(apply(inverse(T), seen) - arm, axis=1)
+    _check_hand(arm, seen, residual)
     names = tuple(point.name for point in points)
-    return HandEyeResult(inverse(T), "touched points, least error in both images", names, residual, used)
+    own = LIMIT_SIGMAS * 1000 * float(np.median(rig.depth_sigma(seen[:, 2], TOUCH_PX)))
+    return HandEyeResult(inverse(T), "touched points, least error in both images", names, residual, used, own)
+
+
+def _check_unit(arm: F64, seen: F64) -> None:
+    """Refuse arm coordinates in another unit than metres: the distances between the points tell.
+
+    Raises
+    ------
+    CalibrationError
+        Naming the unit.
+    """
+    i, j = np.triu_indices(len(arm), 1)
+    apart = [np.linalg.norm(points[i] - points[j], axis=1) for points in (arm, seen)]
+    scale = float(np.median(apart[0] / np.maximum(apart[1], 1e-9)))
+    if abs(np.log(scale)) < np.log1p(SAME_SCALE):
+        return
+    unit = min(UNITS_M, key=lambda name: abs(np.log(scale * UNITS_M[name])))
+    remedy = "Write them in metres"
+    if abs(np.log(scale * UNITS_M[unit])) < np.log1p(SAME_SCALE):
+        raise CalibrationError(
+            f"distances are {scale:.4g} times those seen: the arm coordinates look like {_UNIT_WORDS[unit]}",
+            key="points",
+            remedy=remedy,
+        )
+    raise CalibrationError(
+        f"distances between the points are {scale:.4g} times those seen: neither metres nor another unit",
+        key="points",
+        remedy="Are names and pixels of the points in the right rows, and is the calibration that of this camera?",
+    )
+
+
+def _check_hand(arm: F64, seen: F64, residual_mm: F64) -> None:
+    """Refuse an arm whose axes are left-handed: a reflection fits where no rotation does.
+
+    Raises
+    ------
+    CalibrationError
+        Saying so.
+    """
+    if len(arm) <= FEWEST_POINTS:
+        return
+    # A mirrored fit is a rigid one to the points with one axis turned.
+    mirrored = arm * [1.0, -1.0, 1.0]
+    T = fit_rigid(mirrored, seen)
+    left = 1000 * np.linalg.norm(apply(T, seen) - mirrored, axis=1)
+    rms, mirrored_rms = (float(np.sqrt(np.mean(np.square(values)))) for values in (residual_mm, left))
+    if mirrored_rms < MIRRORED_SHARE * rms and rms > MIRRORED_FLOOR_MM:
+        raise CalibrationError(
+            f"no rotation fits (RMS {rms:.0f} mm), a reflection does ({mirrored_rms:.1f} mm): "
+            "the arm's axes are mirrored (left-handed)",
+            key="points",
+            remedy="Turn the sign of one axis, for example of arm_y_m, here and where the arm takes its targets",
+        )
 
 
 def _check_spread(points: F64, what: str) -> None:

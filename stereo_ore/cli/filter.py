@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+MUCH = 40.0
+"""Per cent of the points that are rarely noise."""
+
 LARGEST_M = 30.0
 """A cloud wider than this many units is hardly in metres: then the unit is asked for."""
 
@@ -26,7 +29,9 @@ def register(app: typer.Typer) -> None:
 
 
 def filter_(
-    source: Annotated[Path, typer.Argument(metavar="IN", help="Cloud: .ply .pcd .xyz .txt .csv .npy .npz")],
+    source: Annotated[
+        Path, typer.Argument(metavar="IN", help="Cloud: .ply .pcd .xyz .txt .asc .pts .csv .npy .npz .las .laz")
+    ],
     out: Annotated[Path, typer.Argument(metavar="OUT", help="Kept points, any of these formats, all columns kept.")],
     method: Annotated[
         str, typer.Option(help="adaptive, closed-form, paper, paper-tuned, statistical, radius, lof or none.")
@@ -55,12 +60,12 @@ def filter_(
     for path in (out, keep_noise, scores):
         if path:
             _check_output(path, source)
-    records = clouds.read(source)
+    records, viewpoint = clouds.read(source), clouds.viewpoint(source)
     xyz = clouds.xyz(records)
     result = filters.apply(bare_cloud(xyz * _metres(source, xyz, unit)), config)
-    clouds.write(out, records[result.keep])
+    clouds.write(out, records[result.keep], viewpoint)
     if keep_noise:
-        clouds.write(keep_noise, records[~result.keep])
+        clouds.write(keep_noise, records[~result.keep], viewpoint)
     if scores:
         clouds.write(scores, clouds.from_columns({"keep": result.keep, "score": result.score}))
     if picture:
@@ -104,6 +109,12 @@ def _report(result: FilterResult) -> None:
     d = result.diagnostics
     removed = d["points"] - d["kept"]
     share = 100 * removed / max(d["points"], 1)
+    if share > MUCH and d["method"] != "none":
+        log.warning(
+            "%.0f %% of the points were removed: is the surface rougher than a third of the distance of its points, "
+            "or the unit another? Thin it to three such distances first, or try --method statistical",
+            share,
+        )
     log.info("%s: %s of %s points removed (%.1f %%)", d["method"], f"{removed:,}", f"{d['points']:,}", share)
     for key, words in (("not_finite", "rows without finite coordinates"), ("duplicates", "points at the same place")):
         if d[key]:

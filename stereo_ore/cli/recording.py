@@ -46,7 +46,7 @@ def calibration_of(
     from stereo_ore.io.calibration import load
 
     if calib:
-        return load(calib, image_size=image_size or frame_size(recording))
+        return load(calib, image_size=image_size, recorded_size=frame_size(recording))
     if recording.calibration is None:
         raise SourceError("carries no calibration", file=recording.path, remedy="Give one with --calib")
     log.info("calibration: camera_info of the recording")

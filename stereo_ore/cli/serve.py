@@ -160,7 +160,7 @@ def _open(
             recording = limit_pixels(open_source(source), max_pixels)
             return Recording(recording), calibration_of(recording, calib, size)
         case None, Path(), None, Path():
-            calibration = load(calib, image_size=size or first_size(watch))
+            calibration = load(calib, image_size=size, recorded_size=first_size(watch))
             return FolderWatch(watch, max_pixels=max_pixels), calibration
         case None, None, int(), Path():
             calibration = load(calib, image_size=size)

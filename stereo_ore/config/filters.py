@@ -22,7 +22,7 @@ class RadiusParams(StageConfig):
     """Neighbours within a radius."""
 
     n: int = param(8, "neighbours that must lie within the radius", ge=1, le=200)
-    radius_m: float | None = param(None, "radius; null: `spacings` × median spacing of the cloud", "m", gt=0)
+    radius_m: float | None = param(None, "radius; null: `spacings` × median spacing of the cloud", "m", gt=0, le=10)
     spacings: float = param(3.0, "radius in median spacings", gt=0)
 
 

@@ -58,7 +58,7 @@ class MatchingConfig(StageConfig):
 class CloudConfig(StageConfig):
     """Reprojection of disparities into the cloud."""
 
-    max_depth_m: float = param(20.0, "farther points are dropped", "m", gt=0)
+    max_depth_m: float = param(20.0, "farther points are dropped", "m", gt=0, le=100)
 
 
 class VoxelConfig(StageConfig):
@@ -78,7 +78,7 @@ class FilterConfig(StageConfig):
 class GrizzlyConfig(StageConfig):
     """Finding the plane of the bar tops when the site does not give it."""
 
-    distance_m: float | None = param(None, "inlier distance of the plane; null: from the depth noise", "m", gt=0)
+    distance_m: float | None = param(None, "inlier distance of the plane; null: from the depth noise", "m", gt=0, le=1)
     max_tilt_rad: float | None = param(None, "largest angle between screen normal and viewing direction", "rad")
     iterations: int = param(500, "RANSAC hypotheses", ge=10)
     seed: int = param(0, "seed of the RANSAC")
@@ -91,7 +91,7 @@ class GrizzlyConfig(StageConfig):
 class SegmentConfig(StageConfig):
     """Lumps in the image."""
 
-    min_size_m: float = param(0.04, "lumps whose visible width is smaller are dropped, and counted", "m", gt=0)
+    min_size_m: float = param(0.04, "lumps whose visible width is smaller are dropped, and counted", "m", gt=0, le=5)
     min_pixels: int = param(240, "and of fewer visible pixels: no more than a clump of wrong matches", "px", ge=1)
     sigmas: float = param(3.0, "relief over the bars that is ore, in standard deviations of a disparity", gt=0)
     min_height: float = param(0.05, "relief over the bars that is ore, in openings", ge=0)
@@ -111,7 +111,7 @@ class SegmentConfig(StageConfig):
     lump_probability: float = param(0.55, "parts less likely a lump than this are dropped, and counted", ge=0, lt=1)
     small_pixels: int = param(600, "a lump of fewer visible pixels may be a clump of wrong matches", "px", ge=0)
     doubtful_probability: float = param(0.75, "small ones, and cut ones, are dropped if less likely", ge=0, lt=1)
-    default_opening_m: float = param(0.3, "scale of the lumps when no opening is known", "m", gt=0)
+    default_opening_m: float = param(0.3, "scale of the lumps when no opening is known", "m", gt=0, le=3)
 
 
 class SolidConfig(StageConfig):
@@ -126,14 +126,14 @@ class SolidConfig(StageConfig):
 class StrikeConfig(StageConfig):
     """Where the tool may strike."""
 
-    tool_diameter_m: float = param(0.04, "diameter of the chisel", "m", gt=0)
+    tool_diameter_m: float = param(0.04, "diameter of the chisel", "m", gt=0, le=1)
     max_slope_rad: float = param(
         0.6, "largest angle between face normal and the tool's axis (the screen's normal)", "rad", gt=0, le=1.57
     )
     clearance_m: float = param(
-        0.005, "distance kept from edges, neighbours and bars beyond the tool's radius", "m", ge=0
+        0.005, "distance kept from edges, neighbours and bars beyond the tool's radius", "m", ge=0, le=1
     )
-    max_roughness_m: float = param(0.006, "residual of a flat patch, beside the depth noise", "m", gt=0)
+    max_roughness_m: float = param(0.006, "residual of a flat patch, beside the depth noise", "m", gt=0, le=1)
     min_measured: float = param(0.7, "share of a patch that must have a depth", ge=0, lt=1)
     lever_share: float = param(
         0.2,

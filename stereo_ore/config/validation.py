@@ -31,7 +31,8 @@ def _describe(item: Any, model: type[BaseModel]) -> str:
     if item["type"] != "extra_forbidden":
         hidden = item["type"] == "missing" or not SECRETS.isdisjoint(item["loc"])
         shown = "" if hidden else f" (given: {item['input']!r:.80})"
-        return f"{key}: {item['msg']}{shown}"
+        too_long = key.endswith("_m") and item["type"] in ("less_than_equal", "less_than")
+        return f"{key}: {item['msg']}{shown}{'; millimetres given for metres?' if too_long else ''}"
     near = nearest(str(item["loc"][-1]), _keys_at(model, item["loc"][:-1]))
     return f"{key}: unknown key{near}"
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -16,13 +18,20 @@ from stereo_ore.io.yaml_io import load_yaml
 from stereo_ore.transforms import inverse, nearest_rotation, rotate, rotation_fault
 from stereo_ore.types import F64, Plane, Site, Volume
 
+log = logging.getLogger(__name__)
+
 FORMAT = "stereo_ore/site"
-FARTHEST_ARM_M = 100.0
+FARTHEST_M = 25.0
+"""Coordinates of camera, volume, reach and plane: a screen has a few metres, a great arm twenty."""
+
+OPENING_M, BAR_WIDTH_M = (0.005, 3.0), (0.001, 1.0)
+"""Clear distances between bars, and their widths, that can be."""
+
 TYPED_TOLERANCE = 1e-3
 """A rotation typed with three to four decimals is made exact; what is further off is an error."""
 
 
-Length = Annotated[Number, Field(gt=0, lt=50)]
+Length = Annotated[Number, Field(gt=0)]
 Vector = tuple[Number, Number, Number]
 Row = tuple[Number, Number, Number, Number]
 Frame = Literal["arm", "camera"]
@@ -68,6 +77,7 @@ class _File(Section):
     format: Literal["stereo_ore/site"]
     version: Literal[1]
     arm_from_camera: tuple[Row, Row, Row, Row] | None = None
+    tool_from_camera: tuple[Row, Row, Row, Row] | None = None
     working_volume: _Volume | None = None
     grizzly: _Grizzly = _Grizzly()
     background: str | None = None
@@ -93,20 +103,17 @@ def load_site(path: str | Path) -> Site:
         raise ConfigError(
             faults[0] if len(faults) == 1 else f"{len(faults)} faults:\n  " + "\n  ".join(faults), file=path
         )
+    if file.tool_from_camera is not None and file.arm_from_camera is None:
+        log.warning("%s: the camera is on the tool and moves with the arm: no arm coordinates", path)
     return site
 
 
 def _faults(file: _File) -> list[str]:
     """What is wrong with single entries."""
     found = []
-    if file.arm_from_camera is not None:
-        T = np.array(file.arm_from_camera)
-        if fault := rotation_fault(T[:3, :3], TYPED_TOLERANCE):
-            found.append(f"arm_from_camera: the upper left 3×3 part {fault}")
-        if not np.array_equal(T[3], (0, 0, 0, 1)):
-            found.append(f"arm_from_camera: the last row must be [0, 0, 0, 1], not {T[3].tolist()}")
-        if np.abs(T[:3, 3]).max() > FARTHEST_ARM_M:
-            found.append(f"arm_from_camera: the camera is {T[:3, 3].tolist()} m away; millimetres given for metres?")
+    for name, rows in (("arm_from_camera", file.arm_from_camera), ("tool_from_camera", file.tool_from_camera)):
+        found += [] if rows is None else _transform_faults(name, np.array(rows))
+    found += _length_faults(file)
     for name, box in (("working_volume", file.working_volume), ("reach", file.reach)):
         if box and not all(low < high for low, high in zip(box.min_m, box.max_m, strict=True)):
             found.append(f"{name}: each of min_m {list(box.min_m)} must be less than max_m {list(box.max_m)}")
@@ -116,6 +123,52 @@ def _faults(file: _File) -> list[str]:
         if part and part.frame == "arm" and file.arm_from_camera is None:
             found.append(f"{name}: is in the arm frame, but arm_from_camera is not given")
     return found
+
+
+def _transform_faults(name: str, T: F64) -> list[str]:
+    found = []
+    if fault := rotation_fault(T[:3, :3], TYPED_TOLERANCE):
+        found.append(f"{name}: the upper left 3×3 part {fault}")
+    if not np.array_equal(T[3], (0, 0, 0, 1)):
+        found.append(f"{name}: the last row must be [0, 0, 0, 1], not {T[3].tolist()}")
+    return found
+
+
+def _length_faults(file: _File) -> list[str]:
+    """Lengths that no site has: each is asked for its unit."""
+    lengths = [
+        (f"{name}.{end}", getattr(box, end), 0.0, FARTHEST_M)
+        for name, box in (("working_volume", file.working_volume), ("reach", file.reach))
+        if box
+        for end in ("min_m", "max_m")
+    ]
+    for name, rows in (("arm_from_camera", file.arm_from_camera), ("tool_from_camera", file.tool_from_camera)):
+        lengths += [] if rows is None else [(name, [row[3] for row in rows[:3]], 0.0, FARTHEST_M)]
+    grizzly = file.grizzly
+    if grizzly.plane and any(grizzly.plane.normal):
+        lengths.append(("grizzly.plane.offset_m", [_offset(grizzly.plane)], 0.0, FARTHEST_M))
+    for name, value, limits in (
+        ("opening_m", grizzly.opening_m, OPENING_M),
+        ("bar_width_m", grizzly.bar_width_m, BAR_WIDTH_M),
+    ):
+        lengths += [] if value is None else [(f"grizzly.{name}", [value], *limits)]
+    found = [_length_fault(*length) for length in lengths]
+    return [fault for fault in found if fault]
+
+
+def _offset(plane: _Plane) -> float:
+    """Distance [m] of the plane from the origin of its frame."""
+    return plane.offset_m / float(np.linalg.norm(plane.normal))
+
+
+def _length_fault(key: str, values: Sequence[float], least: float, greatest: float) -> str:
+    size = max(abs(value) for value in values)
+    if least <= size <= greatest:
+        return ""
+    shown = list(values) if len(values) > 1 else values[0]
+    if size < least:
+        return f"{key}: {shown} m is less than {least:g} m; is it in metres?"
+    return f"{key}: {shown} m is more than {greatest:g} m; millimetres (centimetres) given for metres?"
 
 
 def _site(file: _File, path: Path) -> Site:
@@ -198,10 +251,18 @@ def save_site(site: Site, path: str | Path, hand_eye: HandEyeRecord | None = Non
     path.write_text(yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=120), encoding="utf-8")
 
 
-def save_arm(T_arm_camera: F64, hand_eye: HandEyeRecord, path: str | Path, base: str | Path | None = None) -> None:
+def save_arm(
+    T_arm_camera: F64,
+    hand_eye: HandEyeRecord,
+    path: str | Path,
+    base: str | Path | None = None,
+    mount: Literal["fixed", "tool"] = "fixed",
+) -> None:
     """Write a site file with a new `arm_from_camera`; the rest is that of `base`, or unknown.
 
-    What `base` gives in the arm frame stays where it is in the arm frame.
+    What `base` gives in the arm frame stays where it is in the arm frame. Of a camera on the tool (`mount`), the
+    transform is ``T_tool_camera``, which moves with the arm: it is kept under `tool_from_camera`, and the site has no
+    `arm_from_camera`.
 
     Raises
     ------
@@ -213,7 +274,10 @@ def save_arm(T_arm_camera: F64, hand_eye: HandEyeRecord, path: str | Path, base:
     if base is not None:
         document = load_yaml(Path(base), ConfigError)
         validate(_File, document, base, ConfigError)
-    document |= {"arm_from_camera": T_arm_camera.tolist(), "hand_eye": hand_eye.model_dump(mode="json")}
+    document.pop("arm_from_camera", None)
+    document.pop("tool_from_camera", None)
+    key = "arm_from_camera" if mount == "fixed" else "tool_from_camera"
+    document |= {key: T_arm_camera.tolist(), "hand_eye": hand_eye.model_dump(mode="json")}
     file = validate(_File, document, path, ConfigError)
     if faults := _faults(file) or _view_faults(_site(file, path)):
         raise ConfigError("; ".join(faults), file=base, remedy="Was the calibration made with this arm and camera?")

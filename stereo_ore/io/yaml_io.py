@@ -19,14 +19,23 @@ LONGEST_NUMBER = 400
 class _StrictLoader(yaml.SafeLoader):
     """SafeLoader that refuses what a hand-written file never needs and a hostile one uses."""
 
+    flat_aliases = False
+
     def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.AliasEvent):
+        if self.check_event(yaml.AliasEvent) and not (self.flat_aliases and self._is_flat()):
             event = self.peek_event()  # type: ignore[no-untyped-call,unused-ignore]
             raise yaml.MarkedYAMLError(None, None, "aliases (*name) are not allowed", event.start_mark)
         event = self.peek_event()  # type: ignore[no-untyped-call,unused-ignore]
         if getattr(event, "tag", None) is not None:
             raise yaml.MarkedYAMLError(None, None, f"tags ({event.tag[:40]!r}) are not allowed", event.start_mark)
         return super().compose_node(parent, index)  # type: ignore[no-untyped-call,unused-ignore]
+
+    def _is_flat(self) -> bool:
+        """Whether the next alias stands for a scalar or a list of scalars, which can't grow."""
+        event = self.peek_event()  # type: ignore[no-untyped-call,unused-ignore]
+        node = self.anchors.get(event.anchor)
+        parts = node.value if isinstance(node, yaml.SequenceNode) else [node]
+        return all(isinstance(part, yaml.ScalarNode) for part in parts)
 
     def construct_scalar(self, node: Any) -> Any:
         if node.tag.endswith((":int", ":float")) and len(node.value) > LONGEST_NUMBER:
@@ -42,6 +51,12 @@ class _StrictLoader(yaml.SafeLoader):
             if isinstance(key, str):
                 seen.add(key)
         return super().construct_mapping(node, deep)
+
+
+class _AliasLoader(_StrictLoader):
+    """Takes aliases of numbers and of lists of numbers, as PyYAML writes them for a list that occurs twice."""
+
+    flat_aliases = True
 
 
 def load_yaml(path: Path, error: type[StereoOreError]) -> dict[str, Any]:
@@ -66,6 +81,11 @@ def read_text(path: Path, error: type[StereoOreError]) -> str:
         raise error("no such file", file=path, remedy="Check the path") from None
     except (OSError, ValueError) as fault:  # ValueError: a NUL in the name
         raise error(f"can't be read: {getattr(fault, 'strerror', None) or fault}", file=path) from None
+    return decode_text(data, path, error)
+
+
+def decode_text(data: bytes, path: Path, error: type[StereoOreError]) -> str:
+    """The text in the bytes of a file, one kind of line end; `error` when they are too many or no UTF-8."""
     if len(data) > MAX_BYTES:
         raise error(f"has more than {MAX_BYTES:,} bytes; no more are read", file=path, remedy="Is it the right file?")
     try:
@@ -74,10 +94,10 @@ def read_text(path: Path, error: type[StereoOreError]) -> str:
         raise error("is not a text file (UTF-8)", file=path, remedy="Save it as UTF-8") from None
 
 
-def parse_yaml(text: str, path: Path, error: type[StereoOreError]) -> dict[str, Any]:
-    """The mapping in a YAML text; `path` is for messages."""
+def parse_yaml(text: str, path: Path, error: type[StereoOreError], aliases: bool = False) -> dict[str, Any]:
+    """The mapping in a YAML text; `path` is for messages, `aliases` allows those of numbers and lists of them."""
     try:
-        data = yaml.load(text, Loader=_StrictLoader)
+        data = yaml.load(text, Loader=_AliasLoader if aliases else _StrictLoader)
     except (yaml.YAMLError, ValueError, RecursionError) as fault:
         mark = getattr(fault, "problem_mark", None)
         line = f" (line {mark.line + 1})" if mark else ""

@@ -13,6 +13,9 @@ from stereo_ore.types import F32, F64, U8, CameraModel, RectifiedPair, Rig, Ster
 
 Maps = tuple[F32, F32]
 
+WIDEST_VIEW = np.radians(120)
+"""Of a plane onto which a lens of 150° and more is rectified; its pixels near the edge are four times the middle's."""
+
 ROW_TOLERANCE_PX = 0.5
 """Largest row difference between the eyes of images said to be rectified."""
 
@@ -115,11 +118,61 @@ def rectification(calibration: StereoCalibration) -> tuple[F64, F64, F64, F64]:
         R1, R2, P1, P2, _ = cv2.fisheye.stereoRectify(
             left.K, _fisheye(left), right.K, _fisheye(right), size, R, t, flags=cv2.CALIB_ZERO_DISPARITY, balance=0.0
         )
+        if not _sees(np.asarray(P1), calibration, 1 / 4, 1 / 4):
+            P1, P2 = _widest_plane(calibration, np.asarray(R2, float) @ t)
         return _float64(R1, R2, P1, P2)
     R1, R2, P1, P2, *_ = cv2.stereoRectify(
         left.K, _pinhole(left), right.K, _pinhole(right), size, R, t, flags=cv2.CALIB_ZERO_DISPARITY, alpha=0
     )
+    if not _sees(np.asarray(P1), calibration, 1 / 2, 1 / 10):
+        raise CalibrationError(
+            f"the rectified camera sees nothing: f {P1[0, 0]:.4g} px, centre {P1[0, 2]:.4g}, {P1[1, 2]:.4g} px",
+            key="left.distortion",
+            remedy="Is the lens a fisheye (projection: equidistant), or the model fitted to the middle only?",
+        )
     return _float64(R1, R2, P1, P2)
+
+
+def _sees(P1: F64, calibration: StereoCalibration, off_centre: float, least_focal: float) -> bool:
+    """Whether the rectified left camera has its centre near the image's and a useful focal length.
+
+    `off_centre` is a share of the image's sides, `least_focal` of the lens's focal length.
+    """
+    size = np.array(calibration.image_size, float)
+    away = np.abs(P1[:2, 2] - size / 2) / size
+    focal = float(P1[0, 0]) / min(*calibration.left.focal_px, *calibration.right.focal_px)
+    return bool(np.isfinite(P1).all() and away.max() < off_centre and focal > least_focal)
+
+
+def _widest_plane(calibration: StereoCalibration, t_right_left: F64) -> tuple[F64, F64]:
+    """Projections onto a plane of `WIDEST_VIEW` along the image's longer side, the centre in its middle.
+
+    For lenses that see so much that no plane shows it: OpenCV's choice puts the centre far outside the image then.
+    """
+    width, height = calibration.image_size
+    focal = max(width, height) / 2 / np.tan(WIDEST_VIEW / 2)
+    corner = np.arctan(np.hypot(width, height) / 2 / focal)
+    for eye in (calibration.left, calibration.right):
+        if (limit := _turns_back(eye)) < corner:
+            raise CalibrationError(
+                f"a lens whose model holds to {np.degrees(2 * limit):.0f}° only can't be shown on a plane of "
+                f"{np.degrees(2 * corner):.0f}° from corner to corner",
+                key="distortion",
+                remedy="Calibrate again with the board also near the edges of the image",
+            )
+    P1 = np.array([[focal, 0, (width - 1) / 2, 0], [0, focal, (height - 1) / 2, 0], [0, 0, 1, 0]])
+    P2 = P1.copy()
+    P2[0, 3] = focal * float(t_right_left.ravel()[0])
+    return P1, P2
+
+
+def _turns_back(eye: CameraModel) -> float:
+    """The angle [rad] from which on the Kannala-Brandt radius θ + k1 θ³ + k2 θ⁵ + … falls again."""
+    angle = np.linspace(0, np.pi / 2, 500)
+    powers = np.arange(1, 5)
+    slope = 1 + (np.array(eye.distortion or (0.0,) * 4) * (2 * powers + 1) * angle[:, None] ** (2 * powers)).sum(1)
+    falls = np.flatnonzero(slope <= 0)
+    return float(angle[falls[0]]) if len(falls) else float(np.pi)
 
 
 def _float64(R1: Any, R2: Any, P1: Any, P2: Any) -> tuple[F64, F64, F64, F64]:

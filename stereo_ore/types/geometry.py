@@ -14,7 +14,7 @@ from stereo_ore.types.arrays import F64, Mask, check_shape
 
 @dataclass(frozen=True)
 class CameraModel:
-    """Pinhole intrinsics of one eye: fx, fy, cx, cy [px] and OpenCV distortion coefficients (0, 4, 5 or 8).
+    """Pinhole intrinsics of one eye: fx, fy, cx, cy [px] and OpenCV distortion coefficients (0, 4, 5, 8, 12 or 14).
 
     `projection` "equidistant" takes 4 coefficients of the Kannala-Brandt model (`cv2.fisheye`).
     """

@@ -54,6 +54,14 @@ def read_ros(path: Path) -> object:
     return calibration.load(path)
 
 
+def read_beside(path: Path) -> object:
+    """A calibration of several files; the others are good ones."""
+    for file in (CORPUS.parent / "beside").iterdir():
+        if file.name != path.name:
+            shutil.copyfile(file, path.with_name(file.name))
+    return calibration.load(path)
+
+
 def read_source(path: Path) -> object:
     """All frames; a frame that can't be read is a refusal of that frame alone."""
     source = open_source(path)
@@ -87,6 +95,14 @@ PARSERS = {
     "ros": Parser("left.yaml", read_ros),
     "kalibr": Parser("chain.yaml", read_calibration),
     "middlebury": Parser("calib.txt", read_calibration),
+    "orbslam": Parser("settings.yaml", read_calibration),
+    "simplestereo": Parser("rig.json", read_calibration),
+    "depthai": Parser("calib.json", read_calibration),
+    "calibrating": Parser("calibrating.yaml", read_calibration),
+    "camera_array": Parser("camera_array.toml", read_calibration),
+    "mrcal": Parser("left.cameramodel", read_beside),
+    "colmap": Parser("rigs.txt", read_beside),
+    "pycamcalib": Parser("camera_1_parameters.json", read_beside),
     "touched": Parser("touched.csv", read_touched),
     "poses": Parser("poses.csv", read_poses),
     "ply": Parser("cloud.ply", clouds.read),
@@ -94,6 +110,7 @@ PARSERS = {
     "npy": Parser("cloud.npy", clouds.read),
     "npz": Parser("cloud.npz", clouds.read),
     "text": Parser("cloud.csv", clouds.read),
+    "las": Parser("cloud.las", clouds.read),
     "image": Parser("image.png", read_image),
     "rosbag1": Parser("recording.bag", read_source),
     "mcap": Parser("recording.mcap", read_source),

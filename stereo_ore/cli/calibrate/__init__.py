@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from stereo_ore.cli.calibrate import background, files, judge, make
+from stereo_ore.cli.calibrate import background, files, hand_eye, judge, make
 
 
 def register(app: typer.Typer) -> None:
@@ -13,7 +13,7 @@ def register(app: typer.Typer) -> None:
     group.command("import")(files.import_)
     group.command()(files.show)
     group.command()(make.stereo)
-    group.command("hand-eye")(make.hand_eye)
+    group.command("hand-eye")(hand_eye.hand_eye)
     group.command()(judge.check)
     group.command()(background.background)
     app.add_typer(group, name="calibrate")

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from stereo_ore.cli.calibrate.options import CalibFile, Eyes, Images, Size, Unit, load_any, parse_size, writing
+from stereo_ore.cli.calibrate.options import CalibFile, Eyes, Images, Lens, Size, Unit, load_any, parse_size, writing
 
 log = logging.getLogger(__name__)
 
@@ -18,8 +18,9 @@ def import_(
     out: Annotated[Path, typer.Option("--out", help="Native YAML to write.")],
     images: Images = None,
     size: Size = None,
-    unit: Unit = "m",
+    unit: Unit = None,
     eyes: Eyes = None,
+    projection: Lens = None,
     to: Annotated[str | None, typer.Option("--to", help="Convert a ZED to this resolution.")] = None,
     name: Annotated[str | None, typer.Option("--name", help="Free text for `camera`.")] = None,
 ) -> None:
@@ -31,10 +32,12 @@ def import_(
 
     from stereo_ore.calibrate.convert import convert_zed
     from stereo_ore.io.calibration import save
+    from stereo_ore.stages.rectify import make_rectifier
 
-    calibration = load_any(file, images, size, unit, eyes)
+    calibration = load_any(file, images, size, unit, eyes, projection)
     if to is not None:
         calibration = convert_zed(calibration, parse_size(to))
+    make_rectifier(calibration)  # refuses cameras that would see nothing
     if name is not None:
         calibration = replace(calibration, camera=name)
     with writing(out):
@@ -46,8 +49,9 @@ def show(
     file: CalibFile,
     images: Images = None,
     size: Size = None,
-    unit: Unit = "m",
+    unit: Unit = None,
     eyes: Eyes = None,
+    projection: Lens = None,
     picture: Annotated[Path | None, typer.Option(help="PNG to write.")] = None,
 ) -> None:
     """Print geometry, field of view and depth noise.
@@ -56,7 +60,7 @@ def show(
     """
     from stereo_ore.calibrate.show import describe, draw
 
-    calibration = load_any(file, images, size, unit, eyes)
+    calibration = load_any(file, images, size, unit, eyes, projection)
     typer.echo(describe(calibration))
     if picture is not None:
         with writing(picture):

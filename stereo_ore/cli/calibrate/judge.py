@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from stereo_ore.cli.calibrate.options import UNITS_M, Eyes, Images, Unit, two_numbers, writing
+from stereo_ore.cli.calibrate.options import Eyes, Images, Lens, Size, Unit, load_any, writing
 from stereo_ore.errors import CalibrationError, SourceError
 
 if TYPE_CHECKING:
@@ -23,8 +23,10 @@ def check(
         list[str] | None, typer.Option(help="Pixel in the left image and its distance: U,V,METRES.")
     ] = None,
     images: Images = None,
-    unit: Unit = "m",
+    size: Size = None,
+    unit: Unit = None,
     eyes: Eyes = None,
+    projection: Lens = None,
     picture: Annotated[Path | None, typer.Option(help="PNG of the row differences to write.")] = None,
 ) -> None:
     """Judge a calibration by your own pair; ends with exit code 3 when it is wrong or can't be judged.
@@ -34,7 +36,6 @@ def check(
     from stereo_ore.calibrate.check import check_pair
     from stereo_ore.calibrate.check_report import draw, report
     from stereo_ore.cli import EXIT_QUALITY
-    from stereo_ore.io.calibration import load
     from stereo_ore.io.recordings import open_source
     from stereo_ore.stages.rectify import make_rectifier, rectify
 
@@ -43,9 +44,8 @@ def check(
     if frame >= len(recording.names):
         raise SourceError(f"has {len(recording.names)} frames, no frame {frame}", file=source, key="--frame")
     pair = recording.read(frame)
-    size = (pair.left.shape[1], pair.left.shape[0])
-    pair_of_eyes = None if eyes is None else two_numbers(eyes, ",", "--eyes")
-    calibration = load(calib, images, size, UNITS_M[unit], pair_of_eyes)
+    recorded = (pair.left.shape[1], pair.left.shape[0])
+    calibration = load_any(calib, images, size, unit, eyes, projection, recorded)
     result = check_pair(pair, calibration, points)
     typer.echo(report(result))
     if picture is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,17 +15,31 @@ from stereo_ore.errors import CalibrationError, OutputError
 if TYPE_CHECKING:
     from stereo_ore.types import StereoCalibration
 
-UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 SIZES = {"HD2K": (2208, 1242), "HD1080": (1920, 1080), "HD720": (1280, 720), "VGA": (672, 376)}
 
 CalibFile = Annotated[Path, typer.Argument(help="Calibration in any known format.")]
 Images = Annotated[Literal["rectified", "raw"] | None, typer.Option(help="What the images are, if the file is silent.")]
 Size = Annotated[str | None, typer.Option(help="Size of one eye: WxH, HD2K, HD1080, HD720 or VGA.")]
-Unit = Annotated[Literal["m", "cm", "mm"], typer.Option(help="Unit of a translation (OpenCV, ROS).")]
+Unit = Annotated[
+    str | None,
+    typer.Option(help="Unit of a translation that the file does not say: m, dm, cm, mm, inch, or a square: 25mm."),
+]
+Lens = Annotated[
+    Literal["pinhole", "equidistant"] | None,
+    typer.Option("--projection", help="Of lenses whose file does not say it; equidistant: cv2.fisheye."),
+]
 Eyes = Annotated[str | None, typer.Option(help="Left and right camera of a longer chain: L,R.")]
 
 
-def load_any(file: Path, images: Images, size: str | None, unit: str, eyes: str | None) -> StereoCalibration:
+def load_any(
+    file: Path,
+    images: Images,
+    size: str | None,
+    unit: str | None,
+    eyes: str | None,
+    projection: Lens = None,
+    recorded_size: tuple[int, int] | None = None,
+) -> StereoCalibration:
     """The calibration in a file of any format, with the options that say what the file does not."""
     from stereo_ore.io.calibration import load
 
@@ -32,9 +47,23 @@ def load_any(file: Path, images: Images, size: str | None, unit: str, eyes: str 
         file,
         images=images,
         image_size=None if size is None else parse_size(size),
-        unit_m=UNITS_M[unit],
+        unit_m=None if unit is None else parse_unit(unit),
         eyes=None if eyes is None else two_numbers(eyes, ",", "--eyes"),
+        projection=projection,
+        recorded_size=recorded_size,
     )
+
+
+def parse_unit(text: str) -> float:
+    """Metres of ``mm`` or, where the unit is the square of a board, of ``25mm``."""
+    from stereo_ore.io.calibration.geometry import UNITS_M
+
+    match = re.fullmatch(r"(\d*\.?\d+|\d+\.)?\s*([a-z]+)", text.strip().lower())
+    length = float(match[1] or 1) * UNITS_M.get(match[2], 0.0) if match else 0.0
+    if not length:
+        remedy = f"Use one of {', '.join(UNITS_M)}, or a length with one of them, as 25mm"
+        raise CalibrationError(f"{text!r:.40} is no unit of length", key="--unit", remedy=remedy)
+    return length
 
 
 def parse_size(text: str) -> tuple[int, int]:

@@ -5,11 +5,25 @@ from __future__ import annotations
 from pathlib import Path
 
 from stereo_ore.errors import CalibrationError
-from stereo_ore.io.calibration import kalibr, middlebury, native, opencv, ros, zed
-from stereo_ore.io.calibration.formats import Format, Hints
+from stereo_ore.io.calibration import (
+    calibrating,
+    camera_array,
+    colmap,
+    depthai,
+    kalibr,
+    middlebury,
+    mrcal,
+    native,
+    opencv,
+    orbslam,
+    pycamcalib,
+    ros,
+    simplestereo,
+    zed,
+)
+from stereo_ore.io.calibration.formats import Format, Hints, Projection, read_file
 from stereo_ore.io.calibration.geometry import Images, check_image_size
 from stereo_ore.io.calibration.native import dump, save
-from stereo_ore.io.yaml_io import read_text
 from stereo_ore.types import StereoCalibration
 
 __all__ = ["FORMATS", "check_image_size", "dump", "load", "save"]
@@ -17,10 +31,18 @@ __all__ = ["FORMATS", "check_image_size", "dump", "load", "save"]
 FORMATS: dict[str, Format] = {
     "native": native,
     "zed": zed,
+    "orbslam": orbslam,
     "opencv": opencv,
     "ros": ros,
     "kalibr": kalibr,
     "middlebury": middlebury,
+    "simplestereo": simplestereo,
+    "depthai": depthai,
+    "pycamcalib": pycamcalib,
+    "mrcal": mrcal,
+    "calibrating": calibrating,
+    "camera_array": camera_array,
+    "colmap": colmap,
 }
 """Asked in this order; a new format is a module and a line."""
 
@@ -29,8 +51,10 @@ def load(
     path: str | Path,
     images: Images | None = None,
     image_size: tuple[int, int] | None = None,
-    unit_m: float = 1.0,
+    unit_m: float | None = None,
     eyes: tuple[int, int] | None = None,
+    projection: Projection | None = None,
+    recorded_size: tuple[int, int] | None = None,
 ) -> StereoCalibration:
     """The stereo calibration in a file of any known format.
 
@@ -43,18 +67,24 @@ def load(
     image_size
         Width and height [px] of one eye, for formats that hold several or none.
     unit_m
-        Length of one unit of a translation, for formats that do not fix it (OpenCV, ROS).
+        Length of one unit of a translation, for formats that do not fix it; None: metres, where that is likely.
     eyes
         Numbers of the left and the right camera, for chains of more than two.
+    projection
+        Of the lenses, for files that do not say it.
+    recorded_size
+        Width and height [px] of the images at hand: picks one of several sizes in a file, never stands for a missing
+        one.
 
     Raises
     ------
     CalibrationError
         When the file can't be read, is in no known format, or describes an impossible camera.
     """
-    path = Path(path)
-    text = read_text(path, CalibrationError)
+    path = pycamcalib.text_of(Path(path))
+    text = read_file(path)
+    hints = Hints(images, image_size, unit_m, eyes, projection, recorded_size)
     for reader in FORMATS.values():
         if reader.recognises(text):
-            return reader.read(path, text, Hints(images, image_size, unit_m, eyes))
+            return reader.read(path, text, hints)
     raise CalibrationError(f"is in no known calibration format ({', '.join(FORMATS)})", file=path)

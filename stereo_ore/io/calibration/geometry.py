@@ -17,9 +17,25 @@ from stereo_ore.types import F64, CameraModel, StereoCalibration
 Images = Literal["rectified", "raw"]
 
 LONGEST_BASELINE_M = 2.0
+SHORTEST_BASELINE_M = 0.005
+"""Eyes closer than this measure nothing on a screen: such a number is a baseline in another unit."""
+
 WIDEST_TURN_RAD = 1.0
+OFF_CENTRE, SAME_FACTOR = 0.18, 0.04
+"""A principal point off the middle by more than this share, on both axes alike, is that of another image size."""
+
+COEFFICIENTS = {"pinhole": (0, 4, 5, 8, 12, 14), "equidistant": (4,)}
+"""Numbers of distortion coefficients that a projection can have, in OpenCV's order."""
+
+UNITS_M = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "ft": 0.3048}
 LARGEST_SIDE_PX = 2**15 - 1
 """OpenCV's remap counts pixels in 16 bits."""
+
+_COMMON_SIZES = np.array([
+    (320, 180), (320, 240), (640, 360), (640, 480), (672, 376), (752, 480), (848, 480), (848, 800), (960, 540),
+    (960, 600), (1024, 768), (1280, 720), (1280, 800), (1280, 960), (1280, 1024), (1600, 1200), (1920, 1080),
+    (1920, 1200), (2048, 1536), (2208, 1242), (2560, 1440), (3840, 2160),
+], float)  # fmt: skip
 
 ROTATION_DECIMALS = 12
 """Rotation vectors are kept to 1e-12 rad, so that a calibration written and read again is the same to the last bit."""
@@ -57,6 +73,7 @@ def make_calibration(
     R = rotation_matrix(R) if R.size == 3 else R
     faults = [*_size_faults(image_size)]
     faults += [*_eye_faults("left", left, image_size), *_eye_faults("right", right, image_size)]
+    faults = faults or [*_other_size_faults(left, right, image_size)]
     faults += [*_rotation_faults(R), *_translation_faults(t)]
     if images == "rectified" and not faults:
         faults += _rectified_faults(left, right, R, t)
@@ -118,9 +135,26 @@ def _eye_faults(name: str, eye: CameraModel, size: Sequence[int]) -> Iterator[st
             f"{name}.principal_point_px: {list(eye.principal_point_px)} lies outside images of {size[0]}×{size[1]} px;"
             " is image_size that of the calibration?"
         )
-    allowed = (0, 4, 5, 8) if eye.projection == "pinhole" else (4,)
+    allowed = COEFFICIENTS[eye.projection]
     if len(eye.distortion) not in allowed:
         yield f"{name}.distortion: must have {' or '.join(map(str, allowed))} values, not {len(eye.distortion)}"
+
+
+def _other_size_faults(left: CameraModel, right: CameraModel, size: Sequence[int]) -> Iterator[str]:
+    """Principal points that lie off the middle of both axes by one factor: the file is for images of another size."""
+    middle = np.array(size, float) / 2
+    factors = np.array([eye.principal_point_px for eye in (left, right)]) / middle
+    factor = float(factors.mean())
+    if abs(np.log(factor)) < np.log1p(OFF_CENTRE) or np.abs(factors / factor - 1).max() > SAME_FACTOR:
+        return
+    likely = min(_COMMON_SIZES, key=lambda known: float(np.abs(np.log(known / (2 * middle * factor))).max()))
+    if np.abs(np.log(likely / (2 * middle * factor))).max() > SAME_FACTOR:
+        likely = np.round(2 * middle * factor)
+    yield (
+        f"principal_point_px: {list(left.principal_point_px)} lies at {50 * factor:.0f} % of width and height"
+        f" of images of {size[0]}×{size[1]} px; the calibration was made at about {likely[0]:.0f}×{likely[1]:.0f} px."
+        " Use the one of this resolution"
+    )
 
 
 def _rotation_faults(R: F64) -> Iterator[str]:
@@ -139,12 +173,21 @@ def _translation_faults(t: F64) -> Iterator[str]:
         yield f"{key}: must be 3 finite numbers, not {t.tolist()}"
     elif length == 0:
         yield f"{key}: the baseline is zero"
-    elif length > LONGEST_BASELINE_M:
-        yield f"{key}: a baseline of {length:g} m; millimetres given for metres?"
+    elif not SHORTEST_BASELINE_M <= length <= LONGEST_BASELINE_M:
+        yield f"{key}: a baseline of {length:g} m; {other_units(length)}"
     elif abs(t[0]) < np.hypot(t[1], t[2]):
         yield f"{key}: {t.tolist()} is not along x; the eyes must stand side by side"
     elif t[0] > 0:
         yield f"{key}: x must be negative (X_right = R·X_left + t), not {t[0]:g}; are left and right swapped?"
+
+
+def other_units(length: float) -> str:
+    """What a length that is none in metres may be: the units in which it would be a likely baseline."""
+    likely = {unit: length * UNITS_M[unit] for unit in ("dm", "cm", "mm") if 0.01 <= length * UNITS_M[unit] <= 1.0}
+    if length < SHORTEST_BASELINE_M:
+        return f"metres given for millimetres? It would be {1000 * length:g} m; write the length in the format's unit"
+    said = " or ".join(f"--unit {unit} ({metres:.4g} m)" for unit, metres in likely.items())
+    return f"millimetres given for metres? Say {said or '--unit mm'}, or in squares of a board --unit 25mm"
 
 
 def _rectified_faults(left: CameraModel, right: CameraModel, R: F64, t: F64) -> Iterator[str]:
@@ -159,3 +202,15 @@ def _rectified_faults(left: CameraModel, right: CameraModel, R: F64, t: F64) -> 
         yield f"{said} the focal lengths of the eyes differ{remedy}"
     if abs(left.principal_point_px[1] - right.principal_point_px[1]) > 0.1:
         yield f"{said} the principal points lie in different rows{remedy}"
+
+
+def from_vector(vector: F64) -> F64:
+    """The transform of a rotation vector [rad] and a translation, (6,)."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = rotation_matrix(vector[:3]), vector[3:]
+    return T
+
+
+def to_vector(T: F64) -> F64:
+    """Rotation vector [rad] and translation, (6,)."""
+    return np.concatenate([np.asarray(cv2.Rodrigues(T[:3, :3])[0], np.float64).ravel(), T[:3, 3]])

@@ -10,13 +10,30 @@ import numpy as np
 
 from stereo_ore.config.validation import nearest
 from stereo_ore.errors import CalibrationError
-from stereo_ore.io.calibration.formats import Hints, numbers, size_of
+from stereo_ore.io.calibration.file_storage import plain_yaml
+from stereo_ore.io.calibration.formats import Hints, numbers, size_of, tell_unread
 from stereo_ore.io.calibration.geometry import make_calibration
 from stereo_ore.io.yaml_io import parse_yaml
 from stereo_ore.transforms import inverse, rotation_fault
 from stereo_ore.types import F64, CameraModel, StereoCalibration
 
+AGREE = 1e-3
+"""Difference of rotation entries and metres between two ways from one camera to the other."""
+
 _CHAIN = re.compile(r"^cam\d+:", re.MULTILINE)
+_KNOWN = (
+    "camera_model",
+    "intrinsics",
+    "distortion_model",
+    "distortion_coeffs",
+    "resolution",
+    "T_cn_cnm1",
+    "T_cam_imu",
+    "T_imu_cam",
+    "rostopic",
+    "cam_overlaps",
+    "timeshift_cam_imu",
+)
 
 
 def recognises(text: str) -> bool:
@@ -32,7 +49,7 @@ def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
     CalibrationError
         When a key is missing, a model is not radtan or equidistant, or the two cameras are not said.
     """
-    chain = _cameras(path, parse_yaml(text, path, CalibrationError))
+    chain = _cameras(path, parse_yaml(plain_yaml(text), path, CalibrationError, aliases=True))
     if hints.eyes is None and len(chain) != 2:
         remedy = "Say which are left and right with --eyes L,R"
         raise CalibrationError(f"holds {len(chain)} cameras: {', '.join(map(str, chain))}", file=path, remedy=remedy)
@@ -42,7 +59,7 @@ def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
             raise CalibrationError(f"has no cam{index}{nearest(f'cam{index}', (f'cam{i}' for i in chain))}", file=path)
     if hints.images == "rectified":
         raise CalibrationError("Kalibr describes raw images, not rectified ones", file=path)
-    T_right_left = _to_first(path, chain, right) @ inverse(_to_first(path, chain, left))
+    T_right_left = _between(path, chain, left, right)
     sizes = [size_of(path, chain[index].get("resolution"), hints) for index in (left, right)]
     if sizes[0] != sizes[1]:
         raise CalibrationError(f"cam{left} has images of {sizes[0]} px, cam{right} of {sizes[1]}", file=path)
@@ -73,19 +90,51 @@ def _get(path: Path, name: str, camera: dict[str, Any], key: str) -> Any:
     return camera[key]
 
 
+def _between(path: Path, chain: dict[int, dict[str, Any]], left: int, right: int) -> F64:
+    """``T_right_left``, by the links of the chain or by what both cameras know of the IMU; both must agree."""
+    ways = []
+    if all("T_cn_cnm1" in chain.get(link, {}) for link in range(1, max(left, right) + 1)):
+        ways.append(_to_first(path, chain, right) @ inverse(_to_first(path, chain, left)))
+    imu = [_from_imu(path, f"cam{index}", chain[index]) for index in (left, right)]
+    if imu[0] is not None and imu[1] is not None:
+        ways.append(imu[1] @ inverse(imu[0]))
+    if not ways:
+        missing = next(i for i in range(1, max(left, right) + 1) if "T_cn_cnm1" not in chain.get(i, {}))
+        _get(path, f"cam{missing}", chain.get(missing, {}), "T_cn_cnm1")
+    if len(ways) == 2 and np.abs(ways[0] - ways[1]).max() > AGREE:
+        problem = f"T_cn_cnm1 and T_cam_imu differ by up to {np.abs(ways[0] - ways[1]).max():.2g}"
+        raise CalibrationError(problem, file=path, key=f"cam{right}", remedy="Leave the older of them out")
+    return ways[0]
+
+
+def _from_imu(path: Path, name: str, camera: dict[str, Any]) -> F64 | None:
+    """``T_camera_imu`` from T_cam_imu or, as OpenVINS writes it, its inverse T_imu_cam."""
+    for key in ("T_cam_imu", "T_imu_cam"):
+        if key in camera:
+            T = _transform(path, f"{name}.{key}", camera[key])
+            return T if key == "T_cam_imu" else inverse(T)
+    return None
+
+
+def _transform(path: Path, key: str, value: Any) -> F64:
+    T = numbers(path, key, value, 16).reshape(4, 4)
+    if fault := rotation_fault(T[:3, :3]):
+        raise CalibrationError(f"the rotation {fault}", file=path, key=key)
+    if not np.array_equal(T[3], (0, 0, 0, 1)):
+        raise CalibrationError(f"the last row must be [0, 0, 0, 1], not {T[3].tolist()}", file=path, key=key)
+    return T
+
+
 def _to_first(path: Path, chain: dict[int, dict[str, Any]], index: int) -> F64:
     """``T_camera_cam0``, the product of the links."""
     T = np.eye(4)
     for link in range(1, index + 1):
-        name = f"cam{link}.T_cn_cnm1"
-        step = numbers(path, name, _get(path, f"cam{link}", chain.get(link, {}), "T_cn_cnm1"), 16).reshape(4, 4)
-        if fault := rotation_fault(step[:3, :3]):
-            raise CalibrationError(f"the rotation {fault}", file=path, key=name)
-        T = step @ T
+        T = _transform(path, f"cam{link}.T_cn_cnm1", chain[link]["T_cn_cnm1"]) @ T
     return T
 
 
 def _camera(path: Path, name: str, camera: dict[str, Any]) -> CameraModel:
+    tell_unread(path, {key: value for key, value in camera.items() if key not in _KNOWN}, f"{name}: ")
     kind, model = (_get(path, name, camera, key) for key in ("camera_model", "distortion_model"))
     if kind != "pinhole":
         raise CalibrationError(f"{kind!r} is not supported, only pinhole", file=path, key=f"{name}.camera_model")

@@ -7,11 +7,26 @@ from pathlib import Path
 
 from stereo_ore.config.validation import nearest
 from stereo_ore.errors import CalibrationError
-from stereo_ore.io.calibration.formats import Hints, numbers, size_of
+from stereo_ore.io.calibration.formats import Hints, numbers, size_of, tell_unread
 from stereo_ore.io.calibration.geometry import make_calibration
 from stereo_ore.types import F64, CameraModel, StereoCalibration
 
 _CAMERA = re.compile(r"^\s*cam0\s*=\s*\[", re.MULTILINE)
+_KNOWN = (
+    "cam0",
+    "cam1",
+    "doffs",
+    "baseline",
+    "width",
+    "height",
+    "ndisp",
+    "isint",
+    "vmin",
+    "vmax",
+    "dyavg",
+    "dymax",
+    "rotation",
+)
 DOFFS_TOLERANCE_PX = 0.01
 
 
@@ -25,6 +40,7 @@ def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
     entries = {key.strip(): value.strip() for key, _, value in (line.partition("=") for line in text.splitlines())}
     if hints.images == "raw":
         raise CalibrationError("a Middlebury calibration describes rectified images, not raw ones", file=path)
+    tell_unread(path, {key: value for key, value in entries.items() if value and key not in _KNOWN})
     left, right = (_matrix(path, entries, key) for key in ("cam0", "cam1"))
     doffs = right[0, 2] - left[0, 2]
     if "doffs" in entries and not abs(_number(path, entries, "doffs") - doffs) <= DOFFS_TOLERANCE_PX:

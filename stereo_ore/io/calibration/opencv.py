@@ -2,35 +2,39 @@
 
 from __future__ import annotations
 
-import json
+import logging
 import re
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 
 from stereo_ore.errors import CalibrationError
-from stereo_ore.io.calibration.formats import Hints, numbers, other_eye, size_of
+from stereo_ore.io.calibration.file_storage import parse_storage
+from stereo_ore.io.calibration.formats import (
+    Hints,
+    Projection,
+    in_metres,
+    numbers,
+    other_eye,
+    read_file,
+    size_of,
+    tell_unread,
+    without_tail,
+)
 from stereo_ore.io.calibration.geometry import make_calibration
-from stereo_ore.io.yaml_io import parse_yaml, read_text
+from stereo_ore.io.calibration.opencv_names import also, sort_entries
 from stereo_ore.types import F64, CameraModel, StereoCalibration
 
-NAMES = {
-    "K1": "m1 k1 cameramatrix1 cammatrix1 cammat1 mtx1 leftk kleft kl leftcameramatrix cameramatrixleft mtxl",
-    "K2": "m2 k2 cameramatrix2 cammatrix2 cammat2 mtx2 rightk kright kr rightcameramatrix cameramatrixright mtxr",
-    "D1": "d1 distcoeffs1 distcoeff1 dist1 leftd dleft dl leftdistcoeffs distcoeffsleft distl distortion1",
-    "D2": "d2 distcoeffs2 distcoeff2 dist2 rightd dright dr rightdistcoeffs distcoeffsright distr distortion2",
-    "R": "r rotation rotationmatrix rot stereor",
-    "T": "t translation translationvector trans stereot",
-    "P1": "p1 leftp pleft pl projectionmatrix1",
-    "P2": "p2 rightp pright pr projectionmatrix2",
-    "size": "imagesize imgsize size resolution",
-    "width": "imagewidth width cols calibwidth leftwidth",
-    "height": "imageheight height rows calibheight leftheight",
-}
-"""Spellings of each entry, in lower case without separators."""
+log = logging.getLogger(__name__)
 
+_MODEL = re.compile(
+    r"(camera|distortion|lens|projection)?_?(model|type)$|fish_?eye(_?model)?$|(is|use)_?fish_?eye$", re.I
+)
+_EQUIDISTANT = re.compile(r"fish|equidist|kannala|kb[48]?$", re.I)
+_PINHOLE = re.compile(
+    r"pinhole|plumb|radtan|rad_?tan|brown|rational|opencv|standard|perspective|normal|none|prism", re.I
+)
 _HALVES = (("intrinsics", "extrinsics"), ("intrinsic", "extrinsic"))
 
 
@@ -47,97 +51,107 @@ def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
     Raises
     ------
     CalibrationError
-        When an entry is missing, with the names it may have.
+        When an entry is missing, with the names it may have; when a lens model is not understood.
     """
-    found = _entries(path, text)
+    return combine(path, parse_storage(path, text), hints)
+
+
+def combine(path: Path, entries: dict[str, Any], hints: Hints) -> StereoCalibration:
+    """The calibration in the entries of a file, whatever they are called."""
+    found, unread, fisheye = sort_entries(path, entries)
     if not {"K1", "R"} <= found.keys() and any(word in path.name for word in _HALVES[1]):
         other = next(part for part in other_eye(path, _HALVES) if part != path)
-        found = (_entries(other, read_text(other, CalibrationError)) if other.exists() else {}) | found
-    width_height = [float(found[key][0]) for key in ("width", "height") if key in found]
-    in_file = found["size"].tolist() if "size" in found else width_height or None
+        if other.exists():
+            rest, more, more_fisheye = sort_entries(other, parse_storage(other, read_file(other)))
+            found, unread, fisheye = rest | found, unread | more, fisheye or more_fisheye
     if hints.images == "rectified":
-        return _rectified(path, found, size_of(path, in_file, hints), hints)
-    K1, K2 = (_matrix(path, found, key) for key in ("K1", "K2"))
-    D1, D2 = (found.get(key, np.zeros(0)) for key in ("D1", "D2"))
+        return _rectified(path, found, hints)
+    K1, K2 = (numbers(path, key, _entry(path, found, key), 9).reshape(3, 3) for key in ("K1", "K2"))
     rotation, shift = _entry(path, found, "R"), numbers(path, "T", _entry(path, found, "T"), 3)
+    projection = _projection(path, unread, hints, found, fisheye)
+    tell_unread(path, unread)
     if rotation.size not in (3, 9):
         raise CalibrationError(f"must have 3 or 9 numbers, not {rotation.size}", file=path, key="R")
+    _check_lenses(path, found, projection)
     return make_calibration(
         path,
-        image_size=size_of(path, in_file, hints),
-        left=_camera(K1, D1),
-        right=_camera(K2, D2),
+        left=_camera(K1, found.get("D1"), projection),
+        right=_camera(K2, found.get("D2"), projection),
+        image_size=size_of(path, _size(path, found), hints),
         rotation=rotation if rotation.size == 3 else rotation.reshape(3, 3),
-        translation_m=shift * hints.unit_m,
+        translation_m=in_metres(path, shift, hints),
         images="raw",
         camera=path.stem,
     )
 
 
-def _rectified(path: Path, found: dict[str, F64], size: tuple[int, int], hints: Hints) -> StereoCalibration:
+def _rectified(path: Path, found: dict[str, F64], hints: Hints) -> StereoCalibration:
     P1, P2 = (numbers(path, key, _entry(path, found, key), 12).reshape(3, 4) for key in ("P1", "P2"))
     if P2[0, 0] == 0:
         raise CalibrationError("has a focal length of zero", file=path, key="P2")
     return make_calibration(
         path,
-        image_size=size,
-        left=_camera(P1[:, :3], np.zeros(0)),
-        right=_camera(P2[:, :3], np.zeros(0)),
-        translation_m=(P2[0, 3] / P2[0, 0] * hints.unit_m, 0.0, 0.0),
+        image_size=size_of(path, _size(path, found), hints),
+        left=_camera(P1[:, :3], None, "pinhole"),
+        right=_camera(P2[:, :3], None, "pinhole"),
+        translation_m=in_metres(path, np.array([P2[0, 3] / P2[0, 0], 0.0, 0.0]), hints),
         images="rectified",
         camera=path.stem,
     )
 
 
-def _entries(path: Path, text: str) -> dict[str, F64]:
-    """Entries by our name for them, flat."""
-    spellings = {spelling: name for name, words in NAMES.items() for spelling in words.split()}
-    found = {}
-    for key, value in _parse(path, text).items():
-        name = spellings.get(re.sub(r"[^a-z0-9]", "", str(key).lower()))
-        if name:
-            found[name] = numbers(path, key, value.get("data") if isinstance(value, dict) else value)
-    return found
+def _size(path: Path, found: dict[str, F64]) -> list[float] | None:
+    sizes = [found[key].tolist() for key in ("size", "size1", "size2") if key in found]
+    sizes += [[float(found["width"][0]), float(found["height"][0])]] if {"width", "height"} <= found.keys() else []
+    if any(size != sizes[0] for size in sizes):
+        raise CalibrationError(f"gives several image sizes: {sizes}", file=path, key="size")
+    return sizes[0] if sizes else None
 
 
-def _parse(path: Path, text: str) -> dict[str, Any]:
-    """The entries of a storage; ``cv2.FileStorage`` itself may abort the process on a damaged file."""
-    text = text.lstrip()
-    try:
-        if text.startswith("<"):
-            return _parse_xml(text)
-        if text.startswith("{"):
-            return dict(json.loads(text))
-    except (ElementTree.ParseError, ValueError, TypeError, RecursionError) as fault:
-        raise CalibrationError(f"is not a valid OpenCV FileStorage: {fault}", file=path) from None
-    body = "\n".join(line for line in text.splitlines() if not line.startswith("%"))
-    return parse_yaml(re.sub(r"!!opencv-(nd-)?matrix", "", body), path, CalibrationError)
+def _projection(path: Path, unread: dict[str, Any], hints: Hints, found: dict[str, F64], fisheye: bool) -> Projection:
+    """What the file or, where it is silent, the user says; its entries about that are taken out of `unread`."""
+    said = set[Projection](["equidistant"] if fisheye else [])
+    for key in [key for key in unread if _MODEL.search(key)]:
+        text = str(unread.pop(key))
+        if _EQUIDISTANT.search(text) or ("fish" in key.lower() and text.lower() not in ("0", "0.0", "false")):
+            said.add("equidistant")
+        elif _PINHOLE.search(text) or "fish" in key.lower():
+            said.add("pinhole")
+        else:
+            raise CalibrationError(f"{text!r:.40} is no lens model that is known here", file=path, key=key)
+    if len(said) > 1 or (said and hints.projection not in (None, *said)):
+        raise CalibrationError("says of its lenses that they are pinhole and fisheye", file=path, key="--projection")
+    four = any(len(found.get(key, ())) == 4 and found[key].any() for key in ("D1", "D2"))
+    if four and not said and hints.projection is None:
+        log.warning(
+            "%s: four distortion coefficients, read as k1 k2 p1 p2 of a pinhole camera; "
+            "if they are those of cv2.fisheye, say --projection equidistant",
+            path,
+        )
+    return hints.projection or ("equidistant" if "equidistant" in said else "pinhole")
 
 
-def _parse_xml(text: str) -> dict[str, Any]:
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        raise ValueError("document types and entities are not read")
-    entries = {}
-    for entry in ElementTree.fromstring(text):
-        data = entry.find("data")
-        entries[entry.tag] = ((entry if data is None else data).text or "").split()
-    return entries
+def _check_lenses(path: Path, found: dict[str, F64], projection: Projection) -> None:
+    """One eye with distortion and the other without is a name that is not understood."""
+    missing = [key for key in ("D1", "D2") if key not in found]
+    if len(missing) == 1:
+        problem = f"has no {missing[0]} (also called {also(missing[0])}), but the other eye's distortion"
+        raise CalibrationError(problem, file=path, remedy="A lens without distortion has zeros")
+    if missing:
+        log.warning("%s: no distortion found; the lenses are taken for ideal ones", path)
+    elif projection == "equidistant" and any(len(found[key]) != 4 for key in ("D1", "D2")):
+        raise CalibrationError("a fisheye lens has 4 coefficients", file=path, key="D1")
 
 
 def _entry(path: Path, found: dict[str, F64], key: str) -> F64:
     if key not in found:
         has = ", ".join(found) or "none that is known"
-        raise CalibrationError(f"has no {key} (also called {NAMES[key].replace(' ', ', ')}); found: {has}", file=path)
+        raise CalibrationError(f"has no {key} (also called {also(key)}); found: {has}", file=path)
     return found[key]
 
 
-def _matrix(path: Path, found: dict[str, F64], key: str) -> F64:
-    return numbers(path, key, _entry(path, found, key), 9).reshape(3, 3)
-
-
-def _camera(K: F64, distortion: F64) -> CameraModel:
+def _camera(K: F64, distortion: F64 | None, projection: Projection) -> CameraModel:
     """Zeros behind the coefficients in use (OpenCV writes up to 14) are left out."""
-    D = distortion.tolist()
-    while len(D) > 8 and D[-1] == 0:
-        D.pop()
-    return CameraModel((float(K[0, 0]), float(K[1, 1])), (float(K[0, 2]), float(K[1, 2])), tuple(D))
+    D = () if distortion is None else tuple(distortion.tolist())
+    D = without_tail(D, 8) if projection == "pinhole" else D
+    return CameraModel((float(K[0, 0]), float(K[1, 1])), (float(K[0, 2]), float(K[1, 2])), D, projection)

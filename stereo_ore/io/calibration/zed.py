@@ -11,7 +11,7 @@ from pathlib import Path
 
 from stereo_ore.config.validation import nearest
 from stereo_ore.errors import CalibrationError
-from stereo_ore.io.calibration.formats import Hints
+from stereo_ore.io.calibration.formats import Hints, Projection, tell_unread, without_tail
 from stereo_ore.io.calibration.geometry import make_calibration
 from stereo_ore.types import CameraModel, StereoCalibration
 
@@ -26,7 +26,9 @@ SIZES = {
 """Width and height of one eye in each mode."""
 
 _SECTION = re.compile(r"^\s*\[(LEFT|RIGHT)_CAM_\w+\]", re.MULTILINE | re.IGNORECASE)
-_DISTORTION = ("k1", "k2", "p1", "p2", "k3")
+_DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4")
+_CAMERA = ("fx", "fy", "cx", "cy")
+_STEREO = re.compile(r"(baseline|ty|tz|cv|rx|ry|rz)(_\w+)?")
 
 Values = dict[str, float]
 
@@ -45,7 +47,7 @@ def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
         When the size is not given, is no ZED mode or not in the file; when a key is missing or no number.
     """
     sections = _parse(path, text)
-    mode = _mode(path, sections, hints.image_size)
+    mode = _mode(path, sections, hints.image_size or hints.recorded_size)
     if hints.images == "rectified":
         raise CalibrationError(
             "a factory file describes the raw images, not the rectified ones that the ZED SDK writes",
@@ -54,6 +56,7 @@ def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
         )
     eyes = {side: _eye(path, sections, side, mode) for side in ("left", "right")}
     stereo = sections.get("stereo", {})
+    tell_unread(path, {key: value for key, value in stereo.items() if not _STEREO.fullmatch(key)}, "[STEREO] ")
     rotation = [_stereo(path, stereo, names, mode) for names in (("rx",), ("cv", "ry"), ("rz",))]
     baseline = _require(path, stereo, "baseline", "STEREO")
     shift = [_stereo(path, stereo, (name,), mode, missing=0.0) for name in ("ty", "tz")]
@@ -117,10 +120,26 @@ def _eye(path: Path, sections: dict[str, Values], side: str, mode: str) -> Camer
     if values is None:
         raise CalibrationError("section is missing", file=path, key=f"[{name.upper()}]")
     fx, fy, cx, cy = (_require(path, values, key, name.upper()) for key in ("fx", "fy", "cx", "cy"))
-    wide = sections.get(f"{side}_disto", {})
-    if "k1" not in values and "k4" in wide:
-        return CameraModel((fx, fy), (cx, cy), tuple(wide.get(k, 0.0) for k in (*_DISTORTION, "k4", "k5", "k6")))
-    return CameraModel((fx, fy), (cx, cy), tuple(values.get(key, wide.get(key, 0.0)) for key in _DISTORTION))
+    lens = _lens(path, values, sections.get(f"{side}_disto", {}), side)
+    return CameraModel((fx, fy), (cx, cy), *lens)
+
+
+def _lens(path: Path, narrow: Values, wide: Values, side: str) -> tuple[tuple[float, ...], Projection]:
+    """Coefficients and projection, from the mode's own section or from ``[LEFT_DISTO]`` of newer files.
+
+    k1…k4 without p1 and p2 are those of a fisheye lens (Kannala-Brandt); with them, up to twelve of OpenCV's.
+    """
+    for name, section in ((f"{side} eye: ", narrow), (f"[{side.upper()}_DISTO] ", wide)):
+        tell_unread(path, {key: v for key, v in section.items() if key not in (*_CAMERA, *_DISTORTION)}, name)
+    own, common = ({key: part[key] for key in _DISTORTION if key in part} for part in (narrow, wide))
+    if any(own.values()) and any(common.values()) and {**own, **common} != {**common, **own}:
+        problem = f"gives the {side} lens two sets of coefficients that differ"
+        raise CalibrationError(problem, file=path, key=f"[{side.upper()}_DISTO]")
+    found = common | own if any(own.values()) or not common else own | common
+    if "k4" in found and not {"p1", "p2", "k5", "k6"} & found.keys():
+        return tuple(found.get(key, 0.0) for key in ("k1", "k2", "k3", "k4")), "equidistant"
+    keep = 8 if "k4" in found else 5
+    return without_tail((found.get(key, 0.0) for key in _DISTORTION), keep), "pinhole"
 
 
 def _stereo(path: Path, stereo: Values, names: tuple[str, ...], mode: str, missing: float | None = None) -> float:

@@ -1,17 +1,32 @@
-"""Clouds in and out: PLY, PCD, XYZ/TXT/CSV, NPY, NPZ. A format is a line of the registry; every column is kept."""
+"""Clouds in and out: PLY, PCD, text, NPY, NPZ, LAS. A format is a line of the registry; every column is kept."""
 
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from stereo_ore.errors import CloudError, OutputError
-from stereo_ore.io.clouds import npy, pcd, ply, text
+from stereo_ore.io.clouds import las, npy, pcd, ply, text
+from stereo_ore.io.clouds.pcd import Viewpoint
 from stereo_ore.io.clouds.records import Records, from_array, from_columns, xyz
 
-__all__ = ["FORMATS", "Records", "format_of", "from_array", "from_columns", "read", "write", "xyz"]
+__all__ = [
+    "FORMATS",
+    "Records",
+    "Viewpoint",
+    "format_of",
+    "from_array",
+    "from_columns",
+    "read",
+    "viewpoint",
+    "write",
+    "xyz",
+]
+
+log = logging.getLogger(__name__)
 
 FORMATS: Mapping[str, tuple[Callable[[Path], Records], Callable[[Path, Records], None]]] = {
     ".ply": (ply.read, ply.write),
@@ -19,8 +34,12 @@ FORMATS: Mapping[str, tuple[Callable[[Path], Records], Callable[[Path, Records],
     ".xyz": (text.read, text.write),
     ".txt": (text.read, text.write),
     ".csv": (text.read, text.write),
+    ".asc": (text.read, text.write),
+    ".pts": (text.read, text.write),
     ".npy": (npy.read_npy, npy.write_npy),
     ".npz": (npy.read_npz, npy.write_npz),
+    ".las": (las.read, las.write),
+    ".laz": (las.read, las.write),
 }
 
 
@@ -52,22 +71,36 @@ def read(path: Path) -> Records:
         raise CloudError(f"can't be read: {fault.strerror or fault}", file=path) from None
 
 
-def write(path: Path, records: Records) -> None:
+def viewpoint(path: Path) -> Viewpoint | None:
+    """Where the sensor was: x, y, z and a quaternion with w first, of a PCD file that does not say the origin."""
+    return pcd.viewpoint(path) if format_of(path) == ".pcd" else None
+
+
+def write(path: Path, records: Records, viewpoint: Viewpoint | None = None) -> None:
     """Write points with all their columns; the file appears whole or not at all.
+
+    `viewpoint` is kept by PCD; of the other formats none has a place for it, which is said.
 
     Raises
     ------
     CloudError
-        For an unknown format.
+        For an unknown format, and for points that the format can't hold.
     OutputError
         When the file can't be written.
     """
     _, writer = FORMATS[format_of(path)]
+    if viewpoint is not None and writer is not pcd.write:
+        log.warning("%s: this format has no place for the viewpoint %s", path, viewpoint)
     partial = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        writer(partial, records)
+        if viewpoint is not None and writer is pcd.write:
+            pcd.write(partial, records, viewpoint)
+        else:
+            writer(partial, records)
         partial.replace(path)
+    except CloudError as fault:
+        raise CloudError(fault.problem, file=path, key=fault.key, remedy=fault.remedy) from None
     except OSError as fault:
         raise OutputError(f"can't be written: {fault.strerror or fault}", file=path) from None
     finally:

@@ -9,7 +9,15 @@ import numpy as np
 import numpy.typing as npt
 
 from stereo_ore.errors import CloudError
-from stereo_ore.io.clouds.records import Records, from_array, from_columns, require_xyz
+from stereo_ore.io.clouds.records import (
+    Records,
+    from_array,
+    from_columns,
+    parts_of,
+    require_xyz,
+    tell_left_out,
+    upright,
+)
 from stereo_ore.io.npz_io import load_array, load_arrays
 
 XYZ_NAMES = ("xyz", "points", "voxel_xyz")
@@ -17,7 +25,7 @@ XYZ_NAMES = ("xyz", "points", "voxel_xyz")
 
 def read_npy(path: Path) -> Records:
     """An (N, 3 or more) array, or a structured array with x, y, z."""
-    return from_array(load_array(path, CloudError), path)
+    return from_array(upright(load_array(path, CloudError), path), path)
 
 
 def read_npz(path: Path) -> Records:
@@ -30,11 +38,18 @@ def _from_named(arrays: dict[str, npt.NDArray[Any]], path: Path) -> Records:
     if name is None and not {"x", "y", "z"} <= set(arrays):
         wanted = f"x, y, z or one of {', '.join(XYZ_NAMES)}"
         raise CloudError(f"holds {', '.join(arrays) or 'nothing'}; {wanted} wanted", file=path)
-    points = from_array(arrays.pop(name), path) if name else None
+    points = from_array(upright(arrays.pop(name), path), path) if name else None
     base = {} if points is None else {key: points[key] for key in points.dtype.names or ()}
     length = len(points if points is not None else arrays["x"].reshape(-1))
-    riders = {key: value for key, value in arrays.items() if value.shape == (length,) and value.dtype.kind in "iufb"}
-    columns = base | riders
+    columns, left_out = dict(base), list[str]()
+    for key, value in arrays.items():
+        if value.dtype.kind not in "iufb" or value.shape[:1] != (length,) or value.ndim > 2:
+            left_out.append(key)
+        elif value.ndim == 1:
+            columns[key] = value
+        else:
+            columns |= {part: value[:, i] for i, part in enumerate(parts_of(key, value.shape[1])) if part not in base}
+    tell_left_out(path, left_out)
     if not {"x", "y", "z"} <= set(columns):
         raise CloudError("x, y and z differ in length or are no numbers", file=path)
     return require_xyz(from_columns({key: value for key, value in columns.items() if key}), path)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import logging
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
@@ -9,8 +11,20 @@ from typing import BinaryIO
 import numpy as np
 
 from stereo_ore.errors import CloudError
-from stereo_ore.io.clouds.records import Records, require_bytes, require_xyz
-from stereo_ore.io.clouds.text import parse_rows
+from stereo_ore.io.clouds.colours import unpack
+from stereo_ore.io.clouds.numbers import EXACT
+from stereo_ore.io.clouds.records import (
+    Records,
+    columns_of,
+    fit_names,
+    from_columns,
+    known_names,
+    require_bytes,
+    require_xyz,
+)
+from stereo_ore.io.clouds.rows import parse_rows
+
+log = logging.getLogger(__name__)
 
 TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
@@ -41,7 +55,7 @@ class _Element:
 
 def read(path: Path) -> Records:
     """Vertices of a PLY file; faces and other elements are left alone."""
-    with path.open("rb") as file:
+    with _opened(path) as file:
         encoding, elements = _header(file, path)
         before = []
         for element in elements:
@@ -52,11 +66,29 @@ def read(path: Path) -> Records:
             raise CloudError("has no vertex element", file=path)
         if element.has_list or any(e.has_list for e in before):
             raise CloudError("has a list property in or before its vertices", file=path, remedy="Write points only")
-        return require_xyz(_body(file, path, encoding, before, element), path)
+        points = _body(file, path, encoding, before, element)
+    columns = columns_of(points)
+    names = known_names(list(columns))
+    if len(set(names)) == len(names) and names != list(columns):
+        points = from_columns(dict(zip(names, columns.values(), strict=True)))
+    return require_xyz(unpack(points), path)
+
+
+def _opened(path: Path) -> BinaryIO:
+    """The file; of one whose lines end as on an old Macintosh, its text with the usual ends."""
+    file = path.open("rb")
+    head = file.read(64)
+    file.seek(0)
+    if not (head.startswith(b"ply\r") and b"\n" not in head and b"format ascii" in head):
+        return file
+    with file:
+        return io.BytesIO(file.read().replace(b"\r", b"\n"))
 
 
 def _body(file: BinaryIO, path: Path, encoding: str, before: list[_Element], vertex: _Element) -> Records:
-    left = path.stat().st_size - file.tell()
+    start = file.tell()
+    left = file.seek(0, 2) - start
+    file.seek(start)
     order = ORDERS[encoding]
     dtype = np.dtype([(name, order + kind) for name, kind in vertex.properties])
     if encoding == "ascii":
@@ -68,7 +100,7 @@ def _body(file: BinaryIO, path: Path, encoding: str, before: list[_Element], ver
     skip = sum(e.count * sum(np.dtype(kind).itemsize for _, kind in e.properties) for e in before)
     require_bytes(skip + vertex.count * dtype.itemsize, left, path)
     file.seek(skip, 1)
-    return np.fromfile(file, dtype, vertex.count) if dtype.names else np.empty(0, dtype)
+    return np.frombuffer(file.read(vertex.count * dtype.itemsize), dtype) if dtype.names else np.empty(0, dtype)
 
 
 def _header(file: BinaryIO, path: Path) -> tuple[str, list[_Element]]:
@@ -119,7 +151,11 @@ def _property(words: list[str], elements: list[_Element], path: Path) -> None:
 
 def write(path: Path, records: Records) -> None:
     """Binary little-endian PLY with every column; integers wider than 32 bits become doubles."""
+    records = fit_names(records)
     fields = [(name, _kind(records.dtype[name])) for name in records.dtype.names or ()]
+    for name, column in columns_of(records).items():
+        if column.dtype.itemsize == 8 and column.dtype.kind in "iu" and len(column) and np.abs(column).max() > EXACT:
+            log.warning("column %s: PLY has no whole numbers of 64 bits; they are rounded to doubles", name)
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(records)}"]
     header += [f"property {NAMES[kind]} {name}" for name, kind in fields]
     with path.open("wb") as file:

@@ -104,7 +104,12 @@ def calibration(left: Any, right: Any, rectified: bool, path: Path) -> StereoCal
 def _eye(info: Any) -> dict[str, Any]:
     fields = {letter: matrix(info, letter) for letter in "KDRP"}
     size = {"width": float(info.width), "height": float(info.height)}
-    return fields | size | {"model": info.distortion_model or "plumb_bob"}
+    roi = info.roi
+    window = {
+        "roi": (roi.x_offset, roi.y_offset, roi.width, roi.height),
+        "binning": (info.binning_x, info.binning_y),
+    }
+    return fields | size | window | {"model": info.distortion_model or "plumb_bob"}
 
 
 def matrix(info: Any, letter: str) -> F64:

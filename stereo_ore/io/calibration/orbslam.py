@@ -1,0 +1,95 @@
+"""Settings of ORB-SLAM2 (LEFT.K, LEFT.D, LEFT.R, LEFT.P …) and ORB-SLAM3 (Camera1.fx … Stereo.T_c1_c2)."""
+
+from __future__ import annotations
+
+import logging
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stereo_ore.errors import CalibrationError
+from stereo_ore.io.calibration import ros
+from stereo_ore.io.calibration.file_storage import parse_storage
+from stereo_ore.io.calibration.formats import Hints, numbers, raw_only, size_of, tell_unread, without_tail
+from stereo_ore.io.calibration.geometry import make_calibration
+from stereo_ore.transforms import inverse, rotation_fault
+from stereo_ore.types import CameraModel, StereoCalibration
+
+log = logging.getLogger(__name__)
+
+_COEFFICIENTS = {
+    "PinHole": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+    "KannalaBrandt8": ("k1", "k2", "k3", "k4"),
+}
+
+
+def recognises(text: str) -> bool:
+    """Whether the text has the dotted names of either version."""
+    return bool(re.search(r"^(LEFT\.K|Camera1\.fx):", text, re.MULTILINE))
+
+
+def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
+    """The calibration in the settings.
+
+    Raises
+    ------
+    CalibrationError
+        When a key is missing, or the lens model is unknown.
+    """
+    data = parse_storage(path, text)
+    return _version_2(path, data, hints) if "LEFT.K" in data else _version_3(path, data, hints)
+
+
+def _version_2(path: Path, data: dict[str, Any], hints: Hints) -> StereoCalibration:
+    eyes = []
+    for side in ("LEFT", "RIGHT"):
+        unread = {key: v for key, v in data.items() if re.fullmatch(rf"{side}\.(?!K|D|R|P|width|height).*", key)}
+        tell_unread(path, unread)
+        eye: dict[str, Any] = {
+            letter: numbers(path, f"{side}.{letter}", data.get(f"{side}.{letter}"), count)
+            for letter, count in (("K", 9), ("D", None), ("R", 9), ("P", 12))
+        }
+        size = {
+            key: float(numbers(path, f"{side}.{key}", data.get(f"{side}.{key}"), 1)[0]) for key in ("width", "height")
+        }
+        eyes.append(eye | size | {"model": "plumb_bob" if len(eye["D"]) <= 5 else "rational_polynomial"})
+    return ros.combine((path, path), eyes[0], eyes[1], hints)
+
+
+def _version_3(path: Path, data: dict[str, Any], hints: Hints) -> StereoCalibration:
+    raw_only(path, hints)
+    kind = data.get("Camera.type")
+    if kind not in _COEFFICIENTS:
+        problem = f"{kind!r:.40} is none of {', '.join(_COEFFICIENTS)}"
+        raise CalibrationError(problem, file=path, key="Camera.type")
+    T_left_right = numbers(path, "Stereo.T_c1_c2", data.get("Stereo.T_c1_c2"), 16).reshape(4, 4)
+    if fault := rotation_fault(T_left_right[:3, :3]):
+        raise CalibrationError(f"the rotation {fault}", file=path, key="Stereo.T_c1_c2")
+    T = inverse(T_left_right)
+    size = [data["Camera.width"], data["Camera.height"]] if {"Camera.width", "Camera.height"} <= data.keys() else None
+    left, right = (_camera(path, data, name, kind) for name in ("Camera1", "Camera2"))
+    if any(left.distortion) != any(right.distortion):
+        log.warning("%s: only one eye has distortion; the other is taken for an ideal lens", path)
+    return make_calibration(
+        path,
+        image_size=size_of(path, size, hints),
+        left=left,
+        right=right,
+        rotation=T[:3, :3],
+        translation_m=T[:3, 3],
+        images="raw",
+        camera=path.stem,
+    )
+
+
+def _camera(path: Path, data: dict[str, Any], name: str, kind: str) -> CameraModel:
+    values = {key.partition(".")[2]: value for key, value in data.items() if key.startswith(f"{name}.")}
+    known = ("fx", "fy", "cx", "cy", *_COEFFICIENTS[kind], "overlappingBegin", "overlappingEnd")
+    tell_unread(path, {key: value for key, value in values.items() if key not in known}, f"{name}: ")
+    fx, fy, cx, cy = (float(numbers(path, f"{name}.{key}", values.get(key), 1)[0]) for key in known[:4])
+    D = numbers(path, f"{name}.k1", [values.get(key, 0.0) for key in _COEFFICIENTS[kind]]).tolist()
+    if kind == "KannalaBrandt8":
+        return CameraModel((fx, fy), (cx, cy), tuple(D), "equidistant")
+    return CameraModel((fx, fy), (cx, cy), without_tail(D, 5) if np.any(D) else ())
