@@ -15,7 +15,7 @@ from stereo_ore.sources.images import IMAGE_SUFFIXES
 from stereo_ore.sources.side_by_side import open_side_by_side_image
 from stereo_ore.sources.video import VIDEO_SUFFIXES, open_video
 
-__all__ = ["BagOptions", "Source", "limit_pixels", "open_source", "open_two_files"]
+__all__ = ["BagOptions", "Source", "expect_eyes", "limit_pixels", "open_source", "open_two_files"]
 
 Opener = Callable[[Path, BagOptions], Source]
 
@@ -38,7 +38,7 @@ def open_source(path: Path, options: BagOptions = BagOptions()) -> Source:  # no
     if not path.exists():
         raise SourceError("no such file or folder", file=path, remedy="Check the path")
     if path.is_dir():
-        return open_bag(path, options) if is_bag_folder(path) else open_folder(path)
+        return open_bag(path, options) if is_bag_folder(path) else open_folder(path, options.max_skew_ms)
     suffix = path.suffix.lower()
     if suffix in (".svo", ".svo2"):
         raise SourceError(
@@ -54,6 +54,11 @@ def open_source(path: Path, options: BagOptions = BagOptions()) -> Source:  # no
 def limit_pixels(source: Source, max_pixels: int) -> Source:
     """The same recording, whose pictures of more than `max_pixels` are refused before they are decoded."""
     return cast(Source, replace(cast(Any, source), max_pixels=max_pixels))
+
+
+def expect_eyes(source: Source, eye_size: tuple[int, int]) -> Source:
+    """The same recording; pictures that are to hold two eyes of `eye_size` (width, height) and hold one are refused."""
+    return cast(Source, replace(cast(Any, source), eye_size=eye_size)) if hasattr(source, "eye_size") else source
 
 
 def known_layouts() -> str:
