@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
-from stereo_ore.errors import SourceError
+from stereo_ore.errors import FrameError, SourceError
 from stereo_ore.sources.bag import BAG_SUFFIXES, BagOptions, is_bag_folder, open_bag
 from stereo_ore.sources.base import Source
 from stereo_ore.sources.folder import open_folder, open_two_files
@@ -15,7 +15,17 @@ from stereo_ore.sources.images import IMAGE_SUFFIXES
 from stereo_ore.sources.side_by_side import open_side_by_side_image
 from stereo_ore.sources.video import VIDEO_SUFFIXES, open_video
 
-__all__ = ["BagOptions", "Source", "expect_eyes", "limit_pixels", "open_source", "open_two_files"]
+__all__ = ["BagOptions", "Source", "describe", "expect_eyes", "limit_pixels", "open_source", "open_two_files"]
+
+KINDS = {
+    "image pairs": "frame# of two images",
+    "side-by-side images": "side-by-side frame#",
+    "side-by-side video": "side-by-side frame# of a video",
+    "two videos": "frame# of two videos",
+}
+"""Kinds of recordings in words; ``#`` is the plural's s."""
+MOST_TRIED = 5
+"""Frames that are tried for their size."""
 
 Opener = Callable[[Path, BagOptions], Source]
 
@@ -44,7 +54,7 @@ def open_source(path: Path, options: BagOptions = BagOptions()) -> Source:  # no
         raise SourceError(
             "an SVO recording can only be read by Stereolabs' own software",
             file=path,
-            remedy="Export it where the ZED SDK is: ZED_SVO_Export <file.svo> <folder> 4; then run on the folder",
+            remedy="Export it where the ZED SDK is: ZED_SVO_Export <file.svo> <folder> 2; then run on the folder",
         )
     if suffix not in FILE_OPENERS:
         raise SourceError(f"files ending in {suffix!r} are not known", file=path, remedy=f"Known: {known_layouts()}")
@@ -68,3 +78,20 @@ def known_layouts() -> str:
         "holds left.png right.png, or a folder of such folders; a side-by-side image or a folder of them; "
         "a side-by-side video; a ROS 1 or ROS 2 bag or MCAP file"
     )
+
+
+def describe(source: Source) -> str:
+    """One line that says what is taken for what: "120 side-by-side frames of 2 × 1280×720, …"."""
+    about, count = source.description, len(source.names)
+    kind = KINDS.get(about["kind"], "frame# of " + " and ".join(about.get("topics", [about["kind"]])))
+    words = f"{count} {kind.replace('#', 's' * (count != 1))}"
+    for index in range(min(count, MOST_TRIED)):
+        try:
+            pair = source.read(index)
+        except FrameError:
+            continue
+        height, width = pair.left.shape[:2]
+        words += f"{',' if ' of ' in words else ' of'} 2 × {width}×{height}"
+        words += f", stamps: {pair.stamp_source}" if pair.stamp_source else ""
+        break
+    return "; ".join(filter(None, (words, *getattr(source, "notes", ()))))

@@ -13,7 +13,7 @@ import numpy as np
 from stereo_ore.config.models import MAX_PIXELS
 from stereo_ore.errors import FrameError, SourceError
 from stereo_ore.sources.base import make_pair, sampled_depth
-from stereo_ore.sources.images import IMAGE_SUFFIXES, Image, check_alike, read_both, to_8_bit
+from stereo_ore.sources.images import IMAGE_SUFFIXES, Image, check_alike, file_notes, read_both, to_8_bit
 from stereo_ore.sources.layouts import Eyes, Files, Listing, find_eyes, list_files
 from stereo_ore.sources.names import frame_names, name_stamp, natural_key, split_name
 from stereo_ore.sources.pairing import pair_by_stamp
@@ -36,12 +36,18 @@ class ImagePairs:
     calibration: StereoCalibration | None = None
     max_pixels: int = MAX_PIXELS
     stamps: Mapping[str, int] = field(default_factory=dict)
+    layout: str = ""
 
     @property
     def description(self) -> Mapping[str, Any]:
         """Kind, number of frames, and how many lack an eye."""
         unpaired = sum(None in pair for pair in self.pairs)
         return {"kind": "image pairs", "frames": len(self.names), "unpaired": unpaired}
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Which layout it is, where it has a name, and how the files of the first frame are to be turned."""
+        return (*filter(None, (self.layout,)), *file_notes(self.files(0)[0]))
 
     @cached_property
     def depth(self) -> int:
@@ -151,7 +157,7 @@ def _paired(path: Path, eyes: Eyes, max_skew_ms: float) -> ImagePairs:
     names = frame_names(one if one in left else other for one, other in keys)
     tables = [stamp_table(folder) for folder in {file.parent: None for file in left.values()}]
     table = {name: ns for each in tables for name, ns in each.items()}
-    return ImagePairs(path, names, tuple((left.get(one), right.get(other)) for one, other in keys), stamps=table)
+    return ImagePairs(path, names, tuple((left.get(one), right.get(other)) for one, other in keys), stamps=table, layout=eyes.layout)
 
 
 def _pairs_by_stamp(left: Mapping[str, int], right: Mapping[str, int], max_skew_ms: float) -> list[tuple[str, str]]:

@@ -98,6 +98,12 @@ def packing_of(data: bytes, path: Path) -> str | None:
     return said or ("right-left" if path.suffix.lower() == ".jps" else None)
 
 
+def is_stereo_file(path: Path) -> bool:
+    """Whether an image file says of itself that it holds both eyes; errors as those of `read_image`."""
+    data = read_bytes(path)
+    return packing_of(data, path) is not None or bool(jpeg.pictures(data))
+
+
 def turn_of(data: bytes) -> int:
     """The turn that an image file asks viewers for, as Exif counts them; 1: none. Pixels are read as stored."""
     try:
@@ -111,6 +117,19 @@ def turn_of(data: bytes) -> int:
 def turn_words(turn: int) -> str:
     """A turn in words."""
     return TURNS.get(turn, "over" if turn in (2, 4, 5, 7) else "in no way")
+
+
+def file_notes(path: Path) -> tuple[str, ...]:
+    """What an image file says that is worth a word: which eye comes first, a turn that is not made."""
+    try:
+        data = read_bytes(path)
+    except FrameError:
+        return ()
+    turn, exchanged = turn_of(data), packing_of(data, path) == "right-left" and not jpeg.pictures(data)
+    return (
+        *([f"{path.name} says that the right eye comes first"] if exchanged else ()),
+        *([f"{path.name} asks viewers to turn it {turn_words(turn)}, pixels are taken as stored"] if turn != 1 else ()),
+    )
 
 
 def _check_turns(files: Sequence[tuple[Path, bytes]]) -> None:

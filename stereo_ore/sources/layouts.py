@@ -87,6 +87,7 @@ class Eyes:
     left: Files = field(default_factory=Files)
     right: Files = field(default_factory=Files)
     layout: str = ""
+    """Name of the layout, where it is one of `LAYOUTS`."""
 
     @property
     def pairs(self) -> int:
@@ -187,7 +188,7 @@ def _by_folder(folders: dict[str, tuple[Side, str]], listing: Listing) -> Eyes:
     """Eyes of marked folders; their files' names may carry the mark too (left/left0001.png)."""
     if {side for side, _ in folders.values()} != {"left", "right"}:
         return Eyes()
-    kept, stripped = Eyes(layout="a folder an eye"), Eyes(layout="a folder an eye")
+    kept, stripped = Eyes(), Eyes()
     marked = False
     for folder, (side, prefix) in folders.items():
         for file in listing[folder]:
@@ -204,7 +205,7 @@ def _by_folder(folders: dict[str, tuple[Side, str]], listing: Listing) -> Eyes:
 
 def _by_file(listing: Listing, default_key: str) -> Eyes:
     """Eyes of marked files; of folders of them, the folder's name is part of the frame's."""
-    eyes = Eyes(layout="a file an eye")
+    eyes = Eyes()
     places = [(folder, file) for folder, files in listing.items() for file in files]
     read = read_marks([file.stem for _, file in places], [folder for folder, _ in places])
     for (folder, file), (side, key) in zip(places, read, strict=True):

@@ -13,7 +13,7 @@ import numpy as np
 from stereo_ore.config.models import MAX_PIXELS
 from stereo_ore.errors import SourceError
 from stereo_ore.sources.base import make_pair, sampled_depth
-from stereo_ore.sources.images import Image, check_eye_size, read_side_by_side, to_8_bit
+from stereo_ore.sources.images import Image, check_eye_size, file_notes, is_stereo_file, read_side_by_side, to_8_bit
 from stereo_ore.sources.names import frame_names, split_name
 from stereo_ore.sources.stamps import Stamp, file_stamp
 from stereo_ore.types import StereoCalibration, StereoPair
@@ -39,6 +39,11 @@ class SideBySideImages:
     def depth(self) -> int:
         """Bits of 16-bit images."""
         return sampled_depth(len(self.names), self.eyes)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the first file says of its eyes and of how it is to be turned."""
+        return file_notes(self.images[0])
 
     def files(self, index: int) -> tuple[Path, ...]:
         """The file of frame `index`."""
@@ -70,7 +75,7 @@ def open_side_by_side_image(path: Path) -> SideBySideImages:
         When the file's name says that it is one eye of a pair.
     """
     side, _ = split_name(path.stem)
-    if side:
+    if side and not is_stereo_file(path):
         raise SourceError(
             f"is by its name the {side} eye of a pair, not a side-by-side image",
             file=path,

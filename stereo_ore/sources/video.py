@@ -167,6 +167,11 @@ class SideBySideVideo:
         """Kind and number of frames."""
         return {"kind": "side-by-side video", "frames": len(self.names)}
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the file says of its eyes."""
+        return ("the file says that the right eye comes first",) * (self.packing == "right-left")
+
     def files(self, index: int) -> tuple[Path, ...]:
         """The video."""
         return (self.path,)
