@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -117,7 +118,7 @@ def open_folder(path: Path, max_skew_ms: float = 5.0) -> ImagePairs | SideBySide
     SourceError
         When it has none of them, saying what is in it.
     """
-    listing = list_files(path, lambda name: name.lower().endswith(IMAGE_SUFFIXES))
+    listing = list_files(path, IMAGE_SUFFIXES)
     eyes = find_eyes(listing, path.resolve().name)
     if eyes.left and eyes.right:
         return _paired(path, eyes, max_skew_ms)
@@ -125,8 +126,8 @@ def open_folder(path: Path, max_skew_ms: float = 5.0) -> ImagePairs | SideBySide
     if images and not (eyes.left or eyes.right):
         images = sorted(images, key=lambda file: natural_key(file.stem))
         return SideBySideImages(path, frame_names([file.stem for file in images]), tuple(images))
-    if not listing:
-        videos = find_eyes(list_files(path, lambda name: name.lower().endswith(VIDEO_SUFFIXES)), path.resolve().name)
+    if not any(listing.values()):
+        videos = find_eyes(list_files(path, VIDEO_SUFFIXES), path.resolve().name)
         if videos.left and videos.right:
             return open_video_pairs(path, _both(path, videos))
     if {"left", "right"} <= {child.name.lower() for child in path.iterdir() if child.is_dir()}:
@@ -137,7 +138,7 @@ def open_folder(path: Path, max_skew_ms: float = 5.0) -> ImagePairs | SideBySide
 def _by_stem(folder: Path, side: str) -> Files:
     """Images of one eye's folder by name, which may carry the mark of that eye."""
     eyes = Eyes()
-    for files in list_files(folder, lambda name: name.lower().endswith(IMAGE_SUFFIXES)).values():
+    for files in list_files(folder, IMAGE_SUFFIXES).values():
         for file in files:
             own, key = split_name(file.stem)
             eyes.add("left", key if own == side and key else file.stem, file)
@@ -147,24 +148,25 @@ def _by_stem(folder: Path, side: str) -> Files:
 def _paired(path: Path, eyes: Eyes, max_skew_ms: float) -> ImagePairs:
     """Frames of the same name or, where all names are stamps that differ, of nearly the same stamp."""
     left, right = eyes.left, eyes.right
-    stamps = [{key: name_stamp(key) for key in files} for files in (left, right)]
-    if left.keys() != right.keys() and left and right and all(None not in each.values() for each in stamps):
-        keys = _pairs_by_stamp(*({key: ns for key, ns in each.items() if ns is not None} for each in stamps), max_skew_ms)
-    elif left.keys() & right.keys():
+    if left.keys() == right.keys() or not (keys := _pairs_by_stamp(left, right, max_skew_ms)):
+        if not left.keys() & right.keys():
+            raise _none_together(path, eyes)
         keys = [(key, key) for key in sorted(left.keys() | right.keys(), key=natural_key)]
-    else:
-        raise _none_together(path, eyes)
     names = frame_names(one if one in left else other for one, other in keys)
-    tables = [stamp_table(folder) for folder in {file.parent: None for file in left.values()}]
+    tables = [stamp_table(Path(folder)) for folder in {os.path.dirname(file): None for file in left.values()}]
     table = {name: ns for each in tables for name, ns in each.items()}
-    return ImagePairs(path, names, tuple((left.get(one), right.get(other)) for one, other in keys), stamps=table, layout=eyes.layout)
+    pairs = tuple((left.get(one), right.get(other)) for one, other in keys)
+    return ImagePairs(path, names, pairs, stamps=table, layout=eyes.layout)
 
 
-def _pairs_by_stamp(left: Mapping[str, int], right: Mapping[str, int], max_skew_ms: float) -> list[tuple[str, str]]:
-    """Keys of the left and right image of each frame; of a lost one, the key of its partner (which it has not)."""
-    one, other = (sorted(each, key=lambda key, stamps=each: (stamps[key], key)) for each in (left, right))  # type: ignore[misc]
-    pairs = pair_by_stamp([left[key] for key in one], [right[key] for key in other], round(max_skew_ms * 1e6))
-    return [("" if i is None else one[i], "" if j is None else other[j]) for i, j in pairs]
+def _pairs_by_stamp(left: Files, right: Files, max_skew_ms: float) -> list[tuple[str, str]]:
+    """Keys of the left and right image of each frame, where all are stamps; of a lost one, that of its partner."""
+    stamps = [{key: name_stamp(key) for key in files} for files in (left, right)]
+    if not all(each and None not in each.values() for each in stamps):
+        return []
+    one, other = (sorted((ns, key) for key, ns in each.items() if ns is not None) for each in stamps)
+    pairs = pair_by_stamp([ns for ns, _ in one], [ns for ns, _ in other], round(max_skew_ms * 1e6))
+    return [("" if i is None else one[i][1], "" if j is None else other[j][1]) for i, j in pairs]
 
 
 def _both(path: Path, eyes: Eyes) -> dict[str, tuple[Path, Path]]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -23,7 +23,7 @@ log = logging.getLogger(__name__)
 Files = dict[str, Path]
 """The files of one eye by the key of their frame."""
 Listing = dict[str, list[Path]]
-"""Files by their folder, relative to the recording's, with ``/``; the recording's own is empty."""
+"""Files by their folder, relative to the recording's, with ``/`` (``""``: its own); folders without files too."""
 MOST_LEVELS = 6
 STRUCTURE = frozenset("data image images img cam camera rect rectified raw gray grey color colour mav0".split())
 """Folders, and what is left of a folder's name without its mark, that say nothing about the frame."""
@@ -106,31 +106,32 @@ class Eyes:
         files[key] = file
 
 
-def list_files(root: Path, wanted: Callable[[str], bool]) -> Listing:
-    """The files whose names are `wanted`, hidden ones left out, each folder's sorted by name."""
+def list_files(root: Path, suffixes: tuple[str, ...], skip: Container[str] = ()) -> Listing:
+    """The files of some suffixes by folder, each folder's sorted by name; hidden ones and paths in `skip` left out.
+
+    A folder with the name of a file is listed as one, to fail when it is read.
+    """
     listing: Listing = {}
-    for folder, names in _walk(str(root), "", 0, wanted):
-        if found := sorted(names):
-            parent = root / folder if folder else root
-            listing[folder] = [parent / name for name in found]
+    _list(listing, root, "", suffixes, skip)
     return dict(sorted(listing.items()))
 
 
-def _walk(root: str, folder: str, level: int, wanted: Callable[[str], bool]) -> Iterator[tuple[str, list[str]]]:
-    """Each folder and its wanted entries; a folder with the name of a file is listed as one, to fail when it is read."""
+def _list(listing: Listing, root: Path, folder: str, suffixes: tuple[str, ...], skip: Container[str]) -> None:
     folders, found = [], []
-    with os.scandir(os.path.join(root, folder)) as entries:
+    parent = root / folder if folder else root
+    with os.scandir(parent) as entries:
         for entry in entries:
             if entry.name.startswith("."):
                 continue
-            if wanted(entry.name):
-                found.append(entry.name)
+            if entry.name.lower().endswith(suffixes):
+                if entry.path not in skip:
+                    found.append(entry.name)
             elif entry.is_dir():
                 folders.append(entry.name)
-    yield folder, found
-    if level < MOST_LEVELS:
-        for name in sorted(folders):
-            yield from _walk(root, f"{folder}/{name}" if folder else name, level + 1, wanted)
+    listing[folder] = [parent / name for name in sorted(found)]
+    if folder.count("/") < MOST_LEVELS:
+        for name in folders:
+            _list(listing, root, f"{folder}/{name}" if folder else name, suffixes, skip)
 
 
 def find_eyes(listing: Listing, default_key: str) -> Eyes:
@@ -186,18 +187,25 @@ def _folder_key(rest: str) -> str:
 
 def _by_folder(folders: dict[str, tuple[Side, str]], listing: Listing) -> Eyes:
     """Eyes of marked folders; their files' names may carry the mark too (left/left0001.png)."""
-    if {side for side, _ in folders.values()} != {"left", "right"}:
+    if {side for side, _ in folders.values()} != {"left", "right"} and not all(map(_plain, folders)):
         return Eyes()
-    kept, stripped = Eyes(), Eyes()
-    marked = False
+    kept = _keyed(folders, listing, strip=False)
+    sides = {"left": kept.left, "right": kept.right}
+    if any(mark.side == side for side, files in sides.items() for file in files.values() for mark in marks(file.name)):
+        stripped = _keyed(folders, listing, strip=True)
+        return stripped if stripped.pairs >= kept.pairs else kept
+    return kept
+
+
+def _keyed(folders: dict[str, tuple[Side, str]], listing: Listing, strip: bool) -> Eyes:
+    """Files of marked folders by their names, from which the last mark of their own eye is taken."""
+    eyes = Eyes()
     for folder, (side, prefix) in folders.items():
         for file in listing[folder]:
             stem = file.stem
-            own = [mark for mark in marks(stem) if mark.side == side]
-            marked |= bool(own)
-            kept.add(side, _joined(prefix, stem), file)
-            stripped.add(side, _joined(prefix, _without(stem, own[-1:]) or stem), file)
-    return stripped if marked and stripped.pairs >= kept.pairs else kept
+            own = [mark for mark in marks(stem) if mark.side == side] if strip else []
+            eyes.add(side, _joined(prefix, _without(stem, own[-1:]) or stem), file)
+    return eyes
 
 
 # --- by names of files
@@ -297,15 +305,31 @@ def _say_doubt(taken: frozenset[tuple[int, int]], equals: Sequence[frozenset[tup
 # --- by the names that recorders use
 
 
+def may_be_eye(stem: str) -> bool:
+    """Whether a file's name tells an eye, if only there is one that tells the other."""
+    names = (pattern for layout in LAYOUTS for pattern in (layout.left, layout.right) if "/" not in pattern)
+    return bool(marks(stem)) or any(_key(stem, name) is not None for name in names)
+
+
 def _by_layout(listing: Listing, default_key: str) -> Eyes:
+    everything = "\n".join(f"{folder}/{file.name}" for folder, files in listing.items() for file in files)
+    everything += "\n" + "\n".join(listing)
     for layout in LAYOUTS:
+        if layout.left.strip("*/") not in everything:  # a hundred thousand names need not be looked at one by one
+            continue
         eyes = Eyes(layout=layout.name)
         for side, pattern in (("left", layout.left), ("right", layout.right)):
             for key, file in _matches(listing, pattern, layout):
                 eyes.add("left" if side == "left" else "right", key or default_key, file)
-        if eyes.pairs:
+        folders = [pattern.rpartition("/")[0] for pattern in (layout.left, layout.right)]
+        if eyes.pairs or (all(folders) and set(folders) <= {_tail(folder, folders) for folder in listing}):
             return eyes
     return Eyes()
+
+
+def _tail(folder: str, folders: Sequence[str]) -> str:
+    """Which of some folders a folder is, other folders before it left out."""
+    return next((name for name in folders if folder == name or folder.endswith(f"/{name}")), "")
 
 
 def _has_rivals(files: Sequence[Path], layout: Layout) -> bool:
@@ -319,15 +343,21 @@ def _has_rivals(files: Sequence[Path], layout: Layout) -> bool:
 def _matches(listing: Listing, pattern: str, layout: Layout) -> Iterator[tuple[str, Path]]:
     """Key and file of what is named by one pattern of a layout."""
     parent, _, name = pattern.rpartition("/")
-    before, star, after = name.partition("*")
     for folder, files in listing.items():
-        if parent and folder != parent and not folder.endswith("/" + parent):
+        if parent and not _tail(folder, (parent,)):
             continue
-        if not star and _has_rivals(files, layout):
+        if "*" not in name and _has_rivals(files, layout):
             continue
         prefix = _folder_key(folder.removesuffix(parent))
         for file in files:
-            stem = file.stem
-            fits = stem.startswith(before) and stem.endswith(after) and len(stem) > len(before) + len(after)
-            if (fits and star) or stem == name:
-                yield _joined(prefix, stem[len(before) : len(stem) - len(after)].strip(_SEPARATORS) if star else ""), file
+            if (key := _key(file.stem, name)) is not None:
+                yield _joined(prefix, key), file
+
+
+def _key(stem: str, pattern: str) -> str | None:
+    """What stands for the star of a pattern in a name; None where the name does not fit."""
+    before, star, after = pattern.partition("*")
+    if not star:
+        return "" if stem == pattern else None
+    fits = stem.startswith(before) and stem.endswith(after) and len(stem) > len(before) + len(after)
+    return stem[len(before) : len(stem) - len(after)].strip(_SEPARATORS) if fits else None
