@@ -83,7 +83,9 @@ def process_frame(source: Source, index: int, context: Context) -> FrameResult:
     except FrameError as error:
         stamp = source.stamp(index)
         ns, origin = (stamp.ns, stamp.source) if stamp else (None, None)
-        failed = FrameResult(source.names[index], index, ns, "failed", (), dict.fromkeys(COUNTS, 0), stamp_source=origin)
+        failed = FrameResult(
+            source.names[index], index, ns, "failed", (), dict.fromkeys(COUNTS, 0), stamp_source=origin
+        )
         return _failed(failed, error)
     read_ms = 1000 * (time.perf_counter() - start)
     result = process(pair, context, more)

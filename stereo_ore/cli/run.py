@@ -50,7 +50,9 @@ def run(
     start_time: Annotated[
         str | None, typer.Option("--start-time", metavar="TIME", help="When the first frame was taken: ISO 8601.")
     ] = None,
-    fps: Annotated[float | None, typer.Option(min=0.001, help="Frames a second, where the recording can't say.")] = None,
+    fps: Annotated[
+        float | None, typer.Option(min=0.001, help="Frames a second, instead of the recorded times.")
+    ] = None,
     report: Annotated[
         bool, typer.Option("--report/--no-report", help="Check the calibration, write report.html.")
     ] = True,

@@ -40,7 +40,9 @@ def arrivals(folder: Path, done: Container[str]) -> list[Arrival]:
     """
     listing = list_files(folder, IMAGE_SUFFIXES, done)
     eyes = find_eyes(listing, folder.resolve().name)
-    found = [_pair(folder, key, eyes.left.get(key), eyes.right.get(key)) for key in eyes.left.keys() | eyes.right.keys()]
+    found = [
+        _pair(folder, key, eyes.left.get(key), eyes.right.get(key)) for key in eyes.left.keys() | eyes.right.keys()
+    ]
     marked = {*eyes.left.values(), *eyes.right.values()}
     found += [_single(folder, file) for file in listing[""] if file not in marked and file.is_file()]
     return sorted(found, key=lambda arrival: natural_key(arrival.name))

@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import Any, cast
 
 from stereo_ore.errors import FrameError, SourceError
-from stereo_ore.sources.bag import BAG_SUFFIXES, BagOptions, is_bag_folder, open_bag
+from stereo_ore.sources.bag import BagOptions, is_bag_folder, open_bag
+from stereo_ore.sources.bag_files import BAG_SUFFIXES
 from stereo_ore.sources.base import Source
 from stereo_ore.sources.folder import open_folder, open_two_files
 from stereo_ore.sources.images import IMAGE_SUFFIXES
 from stereo_ore.sources.side_by_side import open_side_by_side_image
+from stereo_ore.sources.svo import open_svo
 from stereo_ore.sources.video import VIDEO_SUFFIXES, open_video
 
 __all__ = ["BagOptions", "Source", "describe", "expect_eyes", "limit_pixels", "open_source", "open_two_files"]
@@ -33,6 +35,7 @@ FILE_OPENERS: dict[str, Opener] = {
     **dict.fromkeys(IMAGE_SUFFIXES, lambda path, _: open_side_by_side_image(path)),
     **dict.fromkeys(VIDEO_SUFFIXES, lambda path, _: open_video(path)),
     **dict.fromkeys(BAG_SUFFIXES, open_bag),
+    **dict.fromkeys((".svo", ".svo2"), lambda path, _: open_svo(path)),
 }
 """Openers by file suffix; to add a container format, add its line here."""
 
@@ -50,12 +53,6 @@ def open_source(path: Path, options: BagOptions = BagOptions()) -> Source:  # no
     if path.is_dir():
         return open_bag(path, options) if is_bag_folder(path) else open_folder(path, options.max_skew_ms)
     suffix = path.suffix.lower()
-    if suffix in (".svo", ".svo2"):
-        raise SourceError(
-            "an SVO recording can only be read by Stereolabs' own software",
-            file=path,
-            remedy="Export it where the ZED SDK is: ZED_SVO_Export <file.svo> <folder> 2; then run on the folder",
-        )
     if suffix not in FILE_OPENERS:
         raise SourceError(f"files ending in {suffix!r} are not known", file=path, remedy=f"Known: {known_layouts()}")
     return FILE_OPENERS[suffix](path, options)
@@ -75,8 +72,10 @@ def known_layouts() -> str:
     """One sentence that lists what a SOURCE can be."""
     return (
         "a folder with left/ and right/; a folder with left*.png right*.png (also *_left/_right, *L/*R); a folder that "
-        "holds left.png right.png, or a folder of such folders; a side-by-side image or a folder of them; "
-        "a side-by-side video; a ROS 1 or ROS 2 bag or MCAP file"
+        "holds left.png right.png, or a folder of such folders; the layouts of KITTI, EuRoC, TUM-VI, Middlebury, ETH3D "
+        "and RealSense; a side-by-side image or a folder of them; "
+        "a side-by-side video, or a folder with a left and a right one; a ROS 1 or ROS 2 bag or MCAP file; "
+        "an SVO2 recording"
     )
 
 

@@ -42,7 +42,8 @@ def is_key(unit: bytes) -> bool:
 
 def _parts(unit: bytes) -> list[int]:
     """First byte of each part (NAL unit) of an access unit; only the first parts tell what it is."""
-    found, place = [], unit.find(START_CODE)
+    found: list[int] = []
+    place = unit.find(START_CODE)
     while 0 <= place < len(unit) - 3 and len(found) < LONGEST_DELAY:
         found.append(unit[place + 3])
         place = unit.find(START_CODE, place + 3, place + 4096)

@@ -143,7 +143,7 @@ def _open_ros(path: Path) -> AnyReader:
 
 
 def _checkpointed(path: Path) -> Path | None:
-    """A folder with a copy of a ROS 2 bag whose database's write-ahead log is written into it; None where there is no log.
+    """A folder with a copy of a ROS 2 bag whose write-ahead log is written into its database; None where it has none.
 
     rosbags does not see such a log, and to write it into the database would change the recording.
     """

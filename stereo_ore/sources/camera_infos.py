@@ -146,9 +146,7 @@ def _text_pose(text: str) -> tuple[F64, F64] | None:
     """Read ``rotation=9 numbers;translation=3 numbers``; the rotation's columns come first."""
     fields = dict(part.split("=", 1) for part in text.split(";") if "=" in part)
     try:
-        rotation, translation = (
-            np.array(fields[key].split(","), np.float64) for key in ("rotation", "translation")
-        )
+        rotation, translation = (np.array(fields[key].split(","), np.float64) for key in ("rotation", "translation"))
         return rotation.reshape(3, 3).T, translation.reshape(3)
     except (KeyError, ValueError):
         return None
@@ -162,7 +160,11 @@ def _tree_pose(bag: Messages, left: Any, right: Any) -> tuple[F64, F64] | None:
     for _, _, message in bag.messages([STATIC_TREE]):
         for each in message.transforms:
             t = each.transform.translation
-            parents[each.child_frame_id] = each.header.frame_id, _matrix(each.transform.rotation), np.array([t.x, t.y, t.z])
+            parents[each.child_frame_id] = (
+                each.header.frame_id,
+                _matrix(each.transform.rotation),
+                np.array([t.x, t.y, t.z]),
+            )
     (root, R_left, t_left), (other, R_right, t_right) = (_from_root(parents, info) for info in (left, right))
     if root != other or left.header.frame_id == right.header.frame_id:
         return None

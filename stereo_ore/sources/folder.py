@@ -106,7 +106,9 @@ def open_two_files(left: Path, right: Path, max_skew_ms: float = 5.0) -> ImagePa
         return open_video_pairs(left.parent, {name: (left, right)})
     for file, other in ((left, right), (right, left)):
         if file.is_dir() or file.suffix.lower() in VIDEO_SUFFIXES:
-            raise SourceError(f"and {other.name} are not of the same kind", file=file, remedy="Give two images, videos or folders")
+            raise SourceError(
+                f"and {other.name} are not of the same kind", file=file, remedy="Give two images, videos or folders"
+            )
     return ImagePairs(left.parent, frame_names([name]), ((left, right),))
 
 

@@ -106,7 +106,7 @@ class _Directory(NamedTuple):
     order: str
     big: bool
     start: int
-    count: int
+    entries: int
     following: int
 
 
@@ -126,10 +126,10 @@ def _directory(data: bytes, start: int | None) -> _Directory | None:
 
 
 def _tags(data: bytes, directory: _Directory, raw: Collection[int] = ()) -> dict[int, Any]:
-    order, big, start, count, _ = directory
+    order, big, start, entries, _ = directory
     entry, first, value = (20, start + 8, 12) if big else (12, start + 2, 8)
     found: dict[int, Any] = {}
-    for place in range(first, first + entry * min(count, MOST_TAGS), entry):
+    for place in range(first, first + entry * min(entries, MOST_TAGS), entry):
         tag, kind = struct.unpack_from(order + "HH", data, place)
         if tag in raw:
             (size,), (where,) = (struct.unpack_from(order + "I", data, place + shift) for shift in (4, 8))

@@ -25,7 +25,9 @@ Files = dict[str, Path]
 Listing = dict[str, list[Path]]
 """Files by their folder, relative to the recording's, with ``/`` (``""``: its own); folders without files too."""
 MOST_LEVELS = 6
-STRUCTURE = frozenset("data image images img cam camera rect rectified raw gray grey color colour mav0".split())
+STRUCTURE = frozenset(["data", "image", "images", "img", "cam", "camera", "mav0"]) | frozenset(
+    ["rect", "rectified", "raw", "gray", "grey", "color", "colour"]
+)
 """Folders, and what is left of a folder's name without its mark, that say nothing about the frame."""
 
 

@@ -14,7 +14,9 @@ LONGEST_NAME = 100
 _WORD = re.compile(r"(?:(?<![A-Za-z])(?:left|right|LEFT|RIGHT)|Left|Right)(?![a-z])")
 _LETTER = re.compile(r"(?<![A-Z])[LR](?![A-Za-z])")
 _MIDDLEBURY = re.compile(r"(?<=^im)[01]$")
-_STAMP = re.compile(r"(?P<digits>\d{10}(?=[._])|\d{13}|\d{16}|\d{19})(?:(?<=^.{10})[._](?P<fraction>\d{1,9}))?", re.ASCII)
+_STAMP = re.compile(
+    r"(?P<digits>\d{10}(?=[._])|\d{13}|\d{16}|\d{19})(?:(?<=^.{10})[._](?P<fraction>\d{1,9}))?", re.ASCII
+)
 STAMPS_FROM_NS, STAMPS_TO_NS = 946_684_800 * 10**9, 2_000_000_000 * 10**9
 """2000 and 2033: smaller numbers of so many digits count something else, larger ones may be a date's digits."""
 _SIDES: dict[str, Side] = {"left": "left", "l": "left", "0": "left", "right": "right", "r": "right", "1": "right"}

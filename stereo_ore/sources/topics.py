@@ -49,7 +49,7 @@ def choose_topics(topics: Collection[str], wanted: tuple[str, str] | None, path:
 
 
 def camera_info_topics(image_topic: str) -> tuple[str, ...]:
-    """Where the calibration of an image topic may be: beside it, beside the image that it is a form of, or in `info`."""
+    """Where the calibration of an image topic may be: beside it, beside the image that it is made of, in ``info``."""
     parent = _plain(image_topic).rpartition("/")[0]
     above = parent.rpartition("/")[0]
     recorded = image_topic.partition("/image/data")[0] + "/info"

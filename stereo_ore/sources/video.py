@@ -218,14 +218,15 @@ class VideoPairs:
         left, right = self.entries[index]
         if left is None or right is None:
             raise FrameError(
-                f"has no picture at the time of frame {self.names[index]} of the {'left' if right is None else 'right'} eye",
+                f"frame {self.names[index]} has no {'left' if left is None else 'right'} picture at its time",
                 code="UNPAIRED",
                 file=self.path,
                 remedy="Pictures of two videos that differ in number are paired by their time",
             )
-        eyes = [self.tracks[track].picture(picture, self.max_pixels) for track, picture in (left, right)]
-        check_alike(*eyes, *(self.tracks[track].decoder.path for track, _ in (left, right)))  # type: ignore[call-arg]
-        return make_pair(self, index, *to_8_bit(*eyes))
+        tracks = self.tracks[left[0]], self.tracks[right[0]]
+        one, other = (track.picture(i, self.max_pixels) for track, (_, i) in zip(tracks, (left, right), strict=True))
+        check_alike(one, other, tracks[0].decoder.path, tracks[1].decoder.path.name)
+        return make_pair(self, index, *to_8_bit(one, other))
 
 
 def open_video(path: Path) -> SideBySideVideo:
@@ -241,8 +242,8 @@ def open_video(path: Path) -> SideBySideVideo:
         raise SourceError(
             f"has {said.video_tracks} video tracks, not one with both eyes beside each other",
             file=path,
-            remedy=f"Write a file an eye: ffmpeg -i {path.name} -map 0:v:0 -c copy left.mkv -map 0:v:1 -c copy right.mkv; "
-            "then give --left left.mkv --right right.mkv",
+            remedy=f"Write a file an eye (ffmpeg -i {path.name} -map 0:v:0 -c copy left.mkv -map 0:v:1 -c copy "
+            "right.mkv), then give --left left.mkv --right right.mkv",
         )
     track = _open_track(path, said)
     packing = said.packing or packing_of(track.decoder.first_packet()) or "left-right"

@@ -11,7 +11,6 @@ import numpy as np
 from stereo_ore.types.arrays import F32, F64, I16, I32, U8, Mask, check_shape
 from stereo_ore.types.geometry import Plane, Region, Rig
 
-
 StampSource = Literal["header", "csv", "container", "file name", "modification time", "arrival", "options"]
 """Where a frame's stamp comes from: a message's header, a table of stamps beside the images (EuRoC), a video's or
 bag's own time, a name, a file, the clock of this machine, or ``--start-time`` and ``--fps``."""
