@@ -87,7 +87,7 @@ class McapFile:
         self, topics: Collection[str], start: int | None = None, stop: int | None = None
     ) -> Iterator[tuple[Channel, int, bytes]]:
         """Channel, time of recording [ns] and bytes of the messages of some topics, from `start` to before `stop`."""
-        for _, channel, message in self._reader.iter_messages(list(topics), start, stop):
+        for _, channel, message in self._reader.iter_messages(list(topics), starting_at=start, ending_before=stop):
             yield channel, message.log_time, message.data
 
     def close(self) -> None:
