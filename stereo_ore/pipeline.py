@@ -81,7 +81,12 @@ def process_frame(source: Source, index: int, context: Context) -> FrameResult:
     try:
         pair, *more = (source.read(i) for i in fused_indices(source, index, context))
     except FrameError as error:
-        return _failed(FrameResult(source.names[index], index, None, "failed", (), dict.fromkeys(COUNTS, 0)), error)
+        stamp = source.stamp(index)
+        ns, origin = (stamp.ns, stamp.source) if stamp else (None, None)
+        failed = FrameResult(
+            source.names[index], index, ns, "failed", (), dict.fromkeys(COUNTS, 0), stamp_source=origin
+        )
+        return _failed(failed, error)
     read_ms = 1000 * (time.perf_counter() - start)
     result = process(pair, context, more)
     return replace(result, stages_ms={"read": read_ms, **result.stages_ms})
@@ -98,7 +103,8 @@ def process(pair: StereoPair, context: Context, more: Sequence[StereoPair] = ())
     A fault in the frame ends the chain early: the result then holds what was reached, a status other than "ok", and
     the reason. Other threads do the checks beside the chain.
     """
-    result = FrameResult(pair.name, pair.index, pair.stamp_ns, "ok", (), dict.fromkeys(COUNTS, 0))
+    counts = dict.fromkeys(COUNTS, 0)
+    result = FrameResult(pair.name, pair.index, pair.stamp_ns, "ok", (), counts, stamp_source=pair.stamp_source)
     checks: list[Future[tuple[Reason, ...]]] = []
     steps: tuple[tuple[str, Step], ...] = (
         ("rectify", lambda r: replace(r, pair=rectify.rectify(pair, context.rectifier))),

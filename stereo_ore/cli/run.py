@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import sys
-from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -25,9 +24,6 @@ log = logging.getLogger(__name__)
 
 Json = dict[str, Any]
 
-MOST_COMPLAINTS = 5
-"""Frames that are told about on standard error; all are in the records."""
-
 TABLE_WIDTH = 130
 """Columns of the table of ores where the output is no terminal."""
 
@@ -46,11 +42,17 @@ def run(
     site: Annotated[Path | None, typer.Option(help="Site: arm, working volume, grizzly.")] = None,
     config: Annotated[Path | None, typer.Option(help="Parameters that differ from the defaults.")] = None,
     settings: Annotated[list[str] | None, typer.Option("--set", help="One parameter: key.sub=value.")] = None,
-    left: Annotated[Path | None, typer.Option(help="Left image, instead of SOURCE.")] = None,
-    right: Annotated[Path | None, typer.Option(help="Right image, instead of SOURCE.")] = None,
+    left: Annotated[Path | None, typer.Option(help="Left image, video or folder, instead of SOURCE.")] = None,
+    right: Annotated[Path | None, typer.Option(help="Right image, video or folder, instead of SOURCE.")] = None,
     left_topic: Annotated[str | None, typer.Option(help="Left image topic of a bag.")] = None,
     right_topic: Annotated[str | None, typer.Option(help="Right image topic of a bag.")] = None,
-    max_skew_ms: Annotated[float, typer.Option(min=0, help="Largest difference of stamps in a bag's pair.")] = 5.0,
+    max_skew_ms: Annotated[float, typer.Option(min=0, help="Largest difference of the stamps of a pair.")] = 5.0,
+    start_time: Annotated[
+        str | None, typer.Option("--start-time", metavar="TIME", help="When the first frame was taken: ISO 8601.")
+    ] = None,
+    fps: Annotated[
+        float | None, typer.Option(min=0.001, help="Frames a second, instead of the recorded times.")
+    ] = None,
     report: Annotated[
         bool, typer.Option("--report/--no-report", help="Check the calibration, write report.html.")
     ] = True,
@@ -79,7 +81,8 @@ def run(
     from stereo_ore import pipeline
     from stereo_ore.draw import figures
     from stereo_ore.io.parameters import load_config
-    from stereo_ore.io.recordings import limit_pixels
+    from stereo_ore.io.recordings import describe, expect_eyes, limit_pixels
+    from stereo_ore.io.recordings.retimed import parse_time, retime
     from stereo_ore.io.site import load_site
     from stereo_ore.runs import batch
     from stereo_ore.runs.folder import RunFolder
@@ -95,6 +98,9 @@ def run(
     recording = _open(source, left, right, (left_topic, right_topic), max_skew_ms)
     recording = limit_pixels(recording, parameters.source.max_pixels)
     calibration = _calibration(recording, calib)
+    log.info("%s", describe(recording))
+    recording = expect_eyes(recording, calibration.image_size)
+    recording = retime(recording, None if start_time is None else parse_time(start_time), fps)
     place = load_site(site) if site else Site()
     context = pipeline.make_context(calibration, place, parameters)
     indices = range(len(recording.names))[start : stop : every or context.config.matching.fuse]
@@ -137,7 +143,7 @@ def _open(
     from stereo_ore.io.recordings import BagOptions, open_source, open_two_files
 
     if left and right and source is None:
-        return open_two_files(left, right)
+        return open_two_files(left, right, max_skew_ms)
     if source is None or left or right:
         raise typer.BadParameter("give either SOURCE or both --left and --right")
     match topics:
@@ -258,26 +264,19 @@ def _progress(total: int, done: int) -> Iterator[Any]:
 
 def _summarise(out: Path) -> None:
     """What was found on standard output, and what went wrong on standard error."""
+    from stereo_ore.cli.closing import Closing
     from stereo_ore.io.results import Results
 
-    totals: Counter[str] = Counter()
-    bad: list[Json] = []
-    frame: Json = {}
-    for frame in Results(out).each_record():
-        totals.update({"frames": 1, frame["status"]: 1, **{key: frame["counts"][key] for key in ("ores", "targets")}})
-        if frame["status"] in ("failed", "degraded") and len(bad) < MOST_COMPLAINTS:
-            bad.append(frame)
-    for entry in bad:
-        log.warning("frame %s is %s: %s", entry["frame"], entry["status"], entry["reasons"][-1]["detail"])
-    if bad and totals["failed"] == totals["frames"]:
-        reason = bad[0]["reasons"][-1]
-        raise FrameError(f"no frame could be processed; the first: {reason['detail']}", code=reason["code"])
+    closing = Closing(Results(out).each_record())
+    closing.complain()
+    totals = closing.totals
     if totals["frames"] == 1:
-        _show(frame, out)
+        _show(closing.last, out)
     statuses = ("ok", "degraded", "empty", "failed")
     summary = ", ".join(f"{totals[status]} {status}" for status in statuses if totals[status])
     found = f"{totals['ores']} ores, {totals['targets']} targets"
     typer.echo(f"{_frames(totals['frames'])} ({summary}), {found}: {out}")
+    closing.check_usable()
 
 
 def _show(frame: Json, out: Path) -> None:
