@@ -214,6 +214,7 @@ class Trace:
             ores=found,
             targets=targets,
             stages_ms=self._stages_ms,
+            stamp_source=pair.stamp_source,
         )
 
     def _counts(self, targets: tuple[int, ...]) -> dict[str, int]:

@@ -26,6 +26,7 @@ def record(result: FrameResult, site: Site) -> Json:
         "frame": result.name,
         "index": result.index,
         "stamp_ns": result.stamp_ns,
+        "stamp_source": result.stamp_source,
         "status": result.status,
         "reasons": _reasons(result.reasons),
         "units": "m",

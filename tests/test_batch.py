@@ -45,6 +45,9 @@ class Fake:
     def files(self, index: int) -> tuple[Path, ...]:
         return ()
 
+    def stamp(self, index: int) -> None:
+        return None
+
     def read(self, index: int) -> StereoPair:
         self.calls.append((index, threading.current_thread().name))
         time.sleep(self.seconds)

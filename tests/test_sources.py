@@ -146,14 +146,16 @@ def test_two_files_for_one_eye_are_an_error(tmp_path: Path) -> None:
         open_source(tmp_path)
 
 
-def test_stamp_names_give_stamps(tmp_path: Path) -> None:
-    stamp = 1_700_000_000_123_456_789
+def test_stamps_are_those_of_names_or_else_of_files(tmp_path: Path) -> None:
+    stamp, changed = 1_700_000_000_123_456_789, 1_600_000_000_000_000_001
     write_pairs(tmp_path / "pairs", lambda eye, n: f"{eye}{stamp + n}.png", range(2))
     save(tmp_path / "both" / f"{stamp}.png", both(0))
-    save(tmp_path / "counted" / "000001.png", both(0))
-    assert [open_source(tmp_path / "pairs").read(i).stamp_ns for i in range(2)] == [stamp, stamp + 1]
+    os.utime(save(tmp_path / "counted" / "000001.png", both(0)), ns=(0, changed))
+    pairs = [open_source(tmp_path / "pairs").read(i) for i in range(2)]
+    assert [(pair.stamp_ns, pair.stamp_source) for pair in pairs] == [(stamp, "file name"), (stamp + 1, "file name")]
     assert open_source(tmp_path / "both").read(0).stamp_ns == stamp
-    assert open_source(tmp_path / "counted").read(0).stamp_ns is None
+    counted = open_source(tmp_path / "counted").read(0)
+    assert (counted.stamp_ns, counted.stamp_source) == (changed, "modification time")
 
 
 def test_source_can_be_sent_to_a_worker(tmp_path: Path) -> None:

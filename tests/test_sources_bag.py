@@ -19,7 +19,7 @@ from runs import quarter_scene
 from stereo_ore.errors import CalibrationError, FrameError, SourceError
 from stereo_ore.io.recordings import BagOptions, open_source, ros_messages
 from stereo_ore.io.recordings.pairing import pair_by_stamp
-from stereo_ore.io.recordings.topics import camera_info_topic, choose_topics, is_rectified
+from stereo_ore.io.recordings.topics import camera_info_topics, choose_topics, is_rectified
 
 pytest.importorskip("rosbags", reason="the extra [bags] is not installed")
 
@@ -252,7 +252,7 @@ def test_topics_on_the_command_line_come_in_pairs(tmp_path: Path) -> None:
 
 
 def test_where_ros_puts_things() -> None:
-    assert camera_info_topic("/zed/left/image_rect_color/compressed") == "/zed/left/camera_info"
+    assert camera_info_topics("/zed/left/image_rect_color/compressed")[0] == "/zed/left/camera_info"
     assert is_rectified("/rectifier/left/image_raw") is False
     assert is_rectified("/left/image_rect_color/compressed") is True
 

@@ -28,7 +28,7 @@ def open_recording(
     from stereo_ore.io.recordings import BagOptions, open_source, open_two_files
 
     if left and right and source is None:
-        return open_two_files(left, right)
+        return open_two_files(left, right, max_skew_ms)
     if source is None or left or right:
         raise typer.BadParameter("give either SOURCE or both --left and --right")
     match topics:

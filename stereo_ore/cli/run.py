@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import logging
 import sys
-from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-
-from stereo_ore.errors import FrameError
 
 if TYPE_CHECKING:
     from stereo_ore.runs.run import Progress
@@ -21,9 +18,6 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 Json = dict[str, Any]
-
-MOST_COMPLAINTS = 5
-"""Frames that are told about on standard error; all are in the records."""
 
 TABLE_WIDTH = 130
 """Columns of the table of ores where the output is no terminal."""
@@ -43,11 +37,17 @@ def run(
     site: Annotated[Path | None, typer.Option(help="Site: arm, working volume, grizzly.")] = None,
     config: Annotated[Path | None, typer.Option(help="Parameters that differ from the defaults.")] = None,
     settings: Annotated[list[str] | None, typer.Option("--set", help="One parameter: key.sub=value.")] = None,
-    left: Annotated[Path | None, typer.Option(help="Left image, instead of SOURCE.")] = None,
-    right: Annotated[Path | None, typer.Option(help="Right image, instead of SOURCE.")] = None,
+    left: Annotated[Path | None, typer.Option(help="Left image, video or folder, instead of SOURCE.")] = None,
+    right: Annotated[Path | None, typer.Option(help="Right image, video or folder, instead of SOURCE.")] = None,
     left_topic: Annotated[str | None, typer.Option(help="Left image topic of a bag.")] = None,
     right_topic: Annotated[str | None, typer.Option(help="Right image topic of a bag.")] = None,
-    max_skew_ms: Annotated[float, typer.Option(min=0, help="Largest difference of stamps in a bag's pair.")] = 5.0,
+    max_skew_ms: Annotated[float, typer.Option(min=0, help="Largest difference of the stamps of a pair.")] = 5.0,
+    start_time: Annotated[
+        str | None, typer.Option("--start-time", metavar="TIME", help="When the first frame was taken: ISO 8601.")
+    ] = None,
+    fps: Annotated[
+        float | None, typer.Option(min=0.001, help="Frames a second, instead of the recorded times.")
+    ] = None,
     report: Annotated[
         bool, typer.Option("--report/--no-report", help="Check the calibration, write report.html.")
     ] = True,
@@ -77,7 +77,8 @@ def run(
     from stereo_ore.cli.recording import calibration_of, open_recording
     from stereo_ore.draw.figures import require_matplotlib
     from stereo_ore.io.parameters import load_config
-    from stereo_ore.io.recordings import limit_pixels
+    from stereo_ore.io.recordings import describe, expect_eyes, limit_pixels
+    from stereo_ore.io.recordings.retimed import parse_time, retime
     from stereo_ore.io.site import load_site
     from stereo_ore.runs.identity import InputFiles
     from stereo_ore.runs.run import RunOptions, select
@@ -94,7 +95,11 @@ def run(
     parameters = load_config(config, [*(settings or ()), *([f"matching.fuse={fuse}"] if fuse else [])])
     recording = open_recording(source, left, right, (left_topic, right_topic), max_skew_ms)
     recording = limit_pixels(recording, parameters.source.max_pixels)
-    chain = Chain(calibration_of(recording, calib), load_site(site) if site else None, parameters)
+    calibration = calibration_of(recording, calib)
+    log.info("%s", describe(recording))
+    recording = expect_eyes(recording, calibration.image_size)
+    recording = retime(recording, None if start_time is None else parse_time(start_time), fps)
+    chain = Chain(calibration, load_site(site) if site else None, parameters)
     _announce(chain.site, len(select(recording, chain, options)))
     with _progress() as progress:
         page = run_frames(recording, chain, out, options, InputFiles(calib, site, config), progress)
@@ -133,26 +138,19 @@ def _progress() -> Iterator[Progress]:
 
 def _summarise(out: Path) -> None:
     """What was found on standard output, and what went wrong on standard error."""
+    from stereo_ore.cli.closing import Closing
     from stereo_ore.io.results import Results
 
-    totals: Counter[str] = Counter()
-    bad: list[Json] = []
-    frame: Json = {}
-    for frame in Results(out).each_record():
-        totals.update({"frames": 1, frame["status"]: 1, **{key: frame["counts"][key] for key in ("ores", "targets")}})
-        if frame["status"] in ("failed", "degraded") and len(bad) < MOST_COMPLAINTS:
-            bad.append(frame)
-    for entry in bad:
-        log.warning("frame %s is %s: %s", entry["frame"], entry["status"], entry["reasons"][-1]["detail"])
-    if bad and totals["failed"] == totals["frames"]:
-        reason = bad[0]["reasons"][-1]
-        raise FrameError(f"no frame could be processed; the first: {reason['detail']}", code=reason["code"])
+    closing = Closing(Results(out).each_record())
+    closing.complain()
+    totals = closing.totals
     if totals["frames"] == 1:
-        _show(frame, out)
+        _show(closing.last, out)
     statuses = ("ok", "degraded", "empty", "failed")
     summary = ", ".join(f"{totals[status]} {status}" for status in statuses if totals[status])
     found = f"{totals['ores']} ores, {totals['targets']} targets"
     typer.echo(f"{_frames(totals['frames'])} ({summary}), {found}: {out}")
+    closing.check_usable()
 
 
 def _show(frame: Json, out: Path) -> None:

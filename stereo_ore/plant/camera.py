@@ -115,6 +115,6 @@ def _frame(image: Image, taken_ns: int, index: int) -> LiveFrame:
 
     def read() -> StereoPair:
         left, right = to_8_bit(*split_in_two(image, Path(name)))
-        return StereoPair(left, right, name=name, index=index, stamp_ns=taken_ns)
+        return StereoPair(left, right, name=name, index=index, stamp_ns=taken_ns, stamp_source="arrival")
 
     return LiveFrame(name, index, taken_ns, (), read)

@@ -15,17 +15,24 @@ from stereo_ore.types import StereoPair
 
 @dataclass(frozen=True)
 class LiveFrame:
-    """One frame that has arrived; `read` raises `FrameError` when it is not usable."""
+    """One frame that has arrived; `read` raises `FrameError` when it is not usable.
+
+    `arrived_ns` is the time of day; `seen_s` the same moment on the clock that nobody sets (`time.monotonic`), where
+    this program saw the frame arrive.
+    """
 
     name: str
     index: int
     arrived_ns: int
     files: tuple[Path, ...]
     read: Callable[[], StereoPair]
+    seen_s: float | None = None
 
     @property
     def age_s(self) -> float:
-        """Time since it arrived [s]; negative when the clock was set back."""
+        """Time since it arrived [s]; of a frame that was not seen to arrive negative when the clock was set back."""
+        if self.seen_s is not None:
+            return time.monotonic() - self.seen_s
         return (time.time_ns() - self.arrived_ns) / 1e9
 
 

@@ -4,6 +4,9 @@ A frame is complete when both eyes are there and their files are: PNG and JPEG b
 they have stopped growing. A frame that stays incomplete holds up those behind it for `patience_s` and is then handed
 on as it is, so that it is recorded as failed. A frame that sorts before one already handed on comes too late: it is
 counted, and never processed. So the name of the last frame done is all that a restart needs to know.
+
+The age of a frame counts from when it was first seen here, by a clock that nobody sets: a share's server may have
+another time of day. Only for frames that were there at the start its files' times are all that is known.
 """
 
 from __future__ import annotations
@@ -12,7 +15,7 @@ import logging
 import os
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,6 +24,7 @@ from stereo_ore.config.models import MAX_PIXELS
 from stereo_ore.errors import FrameError, SourceError
 from stereo_ore.io.recordings import limit_pixels
 from stereo_ore.io.recordings.folder import ImagePairs
+from stereo_ore.io.recordings.images import is_complete
 from stereo_ore.io.recordings.names import natural_key
 from stereo_ore.plant.arrivals import Arrival, arrivals
 from stereo_ore.plant.frames import LiveFrame, Position
@@ -34,8 +38,8 @@ SCAN_SHARE = 0.25
 """At most this share of the time is spent listing the folder, however large it grows."""
 PRUNE_AT = 100_000
 """Names of files done are forgotten, where the files are gone, when there are so many."""
-TAIL_BYTES = 64
-END_MARKS = {b"\x89PNG": b"IEND\xaeB`\x82", b"\xff\xd8": b"\xff\xd9"}
+MOST_SKEW_S = 1.0
+"""Clocks of files and of this machine may differ by so much without a word."""
 
 
 @dataclass(frozen=True)
@@ -65,22 +69,30 @@ class FolderWatch:
         self._late = 0
         self._waiting = 0
         self._problem = ""
+        self._seen_s: dict[str, float] = {}
+        self._told_skew = False
+        self._waited_s = 0.0
+        self._quiet_s = 0.0
 
     def frames(self, start: Position, stop: threading.Event) -> Iterator[LiveFrame]:
         """Frames that sort after `start.after`, as they become complete."""
-        after, index, watching = start.after, start.index, False
+        after, index, watching, began = start.after, start.index, False, time.monotonic()
         while not stop.is_set():
-            began = time.monotonic()
+            self._quiet_s, began = time.monotonic() - began, time.monotonic()
             waiting = self._new_frames(after, late=watching)
+            self._see(waiting, watching)
             watching, scan_s = True, time.monotonic() - began
+            pause_s = max(self._poll_s, scan_s / SCAN_SHARE)
             for place, arrival in enumerate(waiting):
-                if stop.is_set() or not self._ready(arrival):
+                # What arrives while a frame is worked on is to be seen soon: its age counts from then.
+                overdue = place > 0 and time.monotonic() - began > pause_s
+                if stop.is_set() or overdue or not self._ready(arrival):
                     break
                 after, self._waiting = arrival.name, len(waiting) - place - 1
                 self._done.update(map(str, arrival.files))
-                yield _frame(replace(arrival, source=limit_pixels(arrival.source, self._max_pixels)), index)
+                yield self._frame(arrival, index)
                 index += 1
-            stop.wait(max(self._poll_s, scan_s / SCAN_SHARE))
+            stop.wait(max(0.0, began + pause_s - time.monotonic()))
 
     def state(self) -> str:
         """What is waited for."""
@@ -122,6 +134,32 @@ class FolderWatch:
             self._done = {file for file in self._done if os.path.exists(file)}
             self._prune_at = max(PRUNE_AT, 2 * len(self._done))
 
+    def _see(self, waiting: Sequence[Arrival], watching: bool) -> None:
+        """Note when frames are first seen; those that were there at the start are as old as their files."""
+        now_s = time.monotonic()
+        earlier = self._seen_s
+        self._seen_s = {}
+        for arrival in waiting:
+            if arrival.name in earlier:
+                self._seen_s[arrival.name] = earlier[arrival.name]
+            elif watching:
+                self._seen_s[arrival.name] = now_s
+                self._check_clock(arrival)
+
+    def _check_clock(self, arrival: Arrival) -> None:
+        """Say once when the clock of the files is not this machine's, by a frame that has come since the last look."""
+        skew_s = (time.time_ns() - _changed_ns(arrival)) / 1e9
+        slack_s = MOST_SKEW_S + (self._quiet_s if skew_s > 0 else 0)
+        if abs(skew_s) > slack_s and not self._told_skew:
+            self._told_skew = True
+            way = "behind" if skew_s > 0 else "ahead of"
+            log.warning(
+                "the clock of files in %s is %.1f s %s this machine's: ages of frames count from when they are seen",
+                self.folder,
+                abs(skew_s),
+                way,
+            )
+
     def _ready(self, arrival: Arrival) -> bool:
         """Whether the frame may be handed on: complete, or waited for long enough."""
         try:
@@ -132,37 +170,56 @@ class FolderWatch:
         if pending is None or (pending.name, pending.looks) != (arrival.name, looks):
             pending = self._pending = _Pending(arrival.name, looks, time.monotonic())
         unchanged_s = time.monotonic() - pending.since
-        whole = arrival.paired and all(_is_whole(file, unchanged_s) for file in arrival.files)
-        if whole or unchanged_s >= self._patience_s:
-            self._pending = None
+        if arrival.paired and all(_is_whole(file, unchanged_s) for file in arrival.files):
+            self._pending, self._waited_s = None, 0.0
+            return True
+        if unchanged_s >= self._patience_s:
+            self._pending, self._waited_s = None, unchanged_s
+            log.warning("frame %s was not complete and did not change for %.0f s", arrival.name, unchanged_s)
             return True
         return False
+
+    def _frame(self, arrival: Arrival, index: int) -> LiveFrame:
+        arrival = replace(arrival, source=limit_pixels(arrival.source, self._max_pixels))
+        seen_s = self._seen_s.get(arrival.name)
+        arrived_ns = _changed_ns(arrival)
+        if seen_s is not None:
+            arrived_ns = time.time_ns() - round(1e9 * (time.monotonic() - seen_s))
+        waited_s = self._waited_s
+
+        def read() -> StereoPair:
+            try:
+                pair = arrival.source.read(0)
+            except FrameError as fault:
+                raise _after_waiting(fault, waited_s) from None
+            if pair.stamp_source == "modification time":
+                pair = replace(pair, stamp_ns=arrived_ns, stamp_source="arrival")
+            return replace(pair, index=index)
+
+        return LiveFrame(arrival.name, index, arrived_ns, arrival.files, read, seen_s)
+
+
+def _after_waiting(fault: FrameError, waited_s: float) -> FrameError:
+    """The same fault; a frame that was waited for in vain says so."""
+    if not waited_s:
+        return fault
+    problem = f"{fault.problem} (waited for {waited_s:.0f} s)"
+    return FrameError(problem, code=fault.code, file=fault.file, key=fault.key, remedy=fault.remedy)
 
 
 def _is_whole(file: Path, unchanged_s: float) -> bool:
     """Whether a file ends as its format says or, for formats that say nothing, has not changed for a while."""
     try:
-        with file.open("rb") as data:
-            head = data.read(8)
-            data.seek(max(0, file.stat().st_size - TAIL_BYTES))
-            tail = data.read()
+        data = file.read_bytes()
     except OSError:
         return False
-    for magic, mark in END_MARKS.items():
-        if head.startswith(magic):
-            return mark in tail
-    return bool(head) and unchanged_s >= SETTLED_S
+    complete = is_complete(data)
+    return bool(data) and unchanged_s >= SETTLED_S if complete is None else complete
 
 
-def _frame(arrival: Arrival, index: int) -> LiveFrame:
-    files = arrival.files
-
-    def read() -> StereoPair:
-        return replace(arrival.source.read(0), index=index)
-
-    # The change time is when the file got its content here; copying tools carry the modification time over.
-    arrived_ns = max((file.stat().st_ctime_ns for file in files if file.exists()), default=time.time_ns())
-    return LiveFrame(arrival.name, index, arrived_ns, files, read)
+def _changed_ns(arrival: Arrival) -> int:
+    """When its files got their content here: copying tools carry the modification time over, not the change time."""
+    return max((file.stat().st_ctime_ns for file in arrival.files if file.exists()), default=time.time_ns())
 
 
 def first_size(folder: Path) -> tuple[int, int] | None:

@@ -10,6 +10,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from stereo_ore.io.recordings.base import Source
+from stereo_ore.io.recordings.stamps import Stamp
 from stereo_ore.types import StereoCalibration, StereoPair
 
 FRAMES_AHEAD = 2
@@ -61,6 +62,10 @@ class ReadAhead:
     def files(self, index: int) -> tuple[Path, ...]:
         """The files that frame `index` is read from."""
         return self._source.files(index)
+
+    def stamp(self, index: int) -> Stamp | None:
+        """When frame `index` was taken."""
+        return self._source.stamp(index)
 
     def read(self, index: int) -> StereoPair:
         """Frame `index`, at once if it was announced."""

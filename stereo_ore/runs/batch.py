@@ -48,7 +48,8 @@ class Job:
             With `strict`, for a frame that failed.
         """
         name, indices = self.source.names[index], self.fused(index)
-        result = self.driver.detect(name, index, lambda: [self.source.read(i) for i in indices])
+        stamp = self.source.stamp(index)
+        result = self.driver.detect(name, index, lambda: [self.source.read(i) for i in indices], stamp)
         if self.strict and result.status == "failed":
             reason = result.reasons[-1]
             raise FrameError(f"frame {result.name} failed: {reason.detail}", code=reason.code)

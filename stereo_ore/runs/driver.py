@@ -17,7 +17,7 @@ from stereo_ore.record import record, to_line
 from stereo_ore.runs.folder import FrameLines
 from stereo_ore.runs.frame_files import FrameFiles
 from stereo_ore.runs.history import fingerprints
-from stereo_ore.types import FrameResult, Reason, Site, StereoPair
+from stereo_ore.types import FrameResult, Reason, Site, StampSource, StereoPair
 
 log = logging.getLogger(__name__)
 
@@ -34,13 +34,19 @@ class Driver:
     files: FrameFiles
     unattended: bool = False
 
-    def detect(self, name: str, index: int, read: Callable[[], Sequence[StereoPair]]) -> FrameResult:
+    def detect(
+        self,
+        name: str,
+        index: int,
+        read: Callable[[], Sequence[StereoPair]],
+        stamp: tuple[int, StampSource] | None = None,
+    ) -> FrameResult:
         """Read and process a frame; what can't be read is a failed frame with a reason.
 
         Parameters
         ----------
-        name, index
-            What the record of a frame that can't be read calls it.
+        name, index, stamp
+            What the record of a frame that can't be read calls it, and when it was taken.
         read : callable
             Gives the pairs that are measured as one frame, the frame's own first.
         """
@@ -53,7 +59,9 @@ class Driver:
                 raise
             log.exception("frame %s", name)
             reason = Reason("INTERNAL_ERROR", f"{type(fault).__name__}: {fault}")
-        return FrameResult(name, index, None, "failed", (reason,), no_counts())
+        ns, origin = stamp or (None, None)
+        failed = FrameResult(name, index, ns, "failed", (reason,), no_counts())
+        return replace(failed, stamp_source=origin)
 
     def _detect(self, read: Callable[[], Sequence[StereoPair]]) -> FrameResult:
         start = time.perf_counter()

@@ -123,6 +123,10 @@ class RunFolder:
             problem = "holds a run with other inputs, parameters or version"
             remedy = "Name another --out, or give --overwrite to replace it"
             raise OutputError(problem, file=self.folder, remedy=remedy)
+        if not resume and not overwrite:
+            problem = "holds this run already, or a part of it"
+            remedy = "Give --resume to go on with it, or --overwrite to begin anew"
+            raise OutputError(problem, file=self.folder, remedy=remedy)
         return True
 
     def _trim(self) -> int:

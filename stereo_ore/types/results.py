@@ -17,6 +17,7 @@ from stereo_ore.types.stages import (
     OreMap,
     PointCloud,
     RectifiedPair,
+    StampSource,
     Surface,
     VoxelCloud,
 )
@@ -164,3 +165,4 @@ class FrameResult:
     surface: Surface | None = None
     ore_map: OreMap | None = None
     stages_ms: Mapping[str, float] = field(default_factory=dict)
+    stamp_source: StampSource | None = None

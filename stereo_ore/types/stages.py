@@ -11,16 +11,21 @@ import numpy as np
 from stereo_ore.types.arrays import F32, F64, I16, I32, U8, Mask, check_shape
 from stereo_ore.types.geometry import Plane, Region, Rig
 
+StampSource = Literal["header", "csv", "container", "file name", "modification time", "arrival", "options"]
+"""Where a frame's stamp comes from: a message's header, a table of stamps beside the images (EuRoC), a video's or
+bag's own time, a name, a file, the clock of this machine, or ``--start-time`` and ``--fps``."""
+
 
 @dataclass(frozen=True)
 class StereoPair:
-    """One recorded pair as read: BGR images, (H, W, 3) uint8, of one size."""
+    """One recorded pair as read: BGR images, (H, W, 3) uint8, of one size; its stamp in ns since 1970, UTC."""
 
     left: U8
     right: U8
     name: str = "pair"
     index: int = 0
     stamp_ns: int | None = None
+    stamp_source: StampSource | None = None
 
     def __post_init__(self) -> None:
         check_shape(self, "left", self.left, None, None, 3)

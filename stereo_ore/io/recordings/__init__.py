@@ -7,15 +7,27 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
-from stereo_ore.errors import SourceError
-from stereo_ore.io.recordings.bag import BAG_SUFFIXES, BagOptions, is_bag_folder, open_bag
+from stereo_ore.errors import FrameError, SourceError
+from stereo_ore.io.recordings.bag import BagOptions, is_bag_folder, open_bag
+from stereo_ore.io.recordings.bag_files import BAG_SUFFIXES
 from stereo_ore.io.recordings.base import Source
 from stereo_ore.io.recordings.folder import open_folder, open_two_files
 from stereo_ore.io.recordings.images import IMAGE_SUFFIXES
 from stereo_ore.io.recordings.side_by_side import open_side_by_side_image
+from stereo_ore.io.recordings.svo import open_svo
 from stereo_ore.io.recordings.video import VIDEO_SUFFIXES, open_video
 
-__all__ = ["BagOptions", "Source", "limit_pixels", "open_source", "open_two_files"]
+__all__ = ["BagOptions", "Source", "describe", "expect_eyes", "limit_pixels", "open_source", "open_two_files"]
+
+KINDS = {
+    "image pairs": "frame# of two images",
+    "side-by-side images": "side-by-side frame#",
+    "side-by-side video": "side-by-side frame# of a video",
+    "two videos": "frame# of two videos",
+}
+"""Kinds of recordings in words; ``#`` is the plural's s."""
+MOST_TRIED = 5
+"""Frames that are tried for their size."""
 
 Opener = Callable[[Path, BagOptions], Source]
 
@@ -23,6 +35,7 @@ FILE_OPENERS: dict[str, Opener] = {
     **dict.fromkeys(IMAGE_SUFFIXES, lambda path, _: open_side_by_side_image(path)),
     **dict.fromkeys(VIDEO_SUFFIXES, lambda path, _: open_video(path)),
     **dict.fromkeys(BAG_SUFFIXES, open_bag),
+    **dict.fromkeys((".svo", ".svo2"), lambda path, _: open_svo(path)),
 }
 """Openers by file suffix; to add a container format, add its line here."""
 
@@ -38,14 +51,8 @@ def open_source(path: Path, options: BagOptions = BagOptions()) -> Source:  # no
     if not path.exists():
         raise SourceError("no such file or folder", file=path, remedy="Check the path")
     if path.is_dir():
-        return open_bag(path, options) if is_bag_folder(path) else open_folder(path)
+        return open_bag(path, options) if is_bag_folder(path) else open_folder(path, options.max_skew_ms)
     suffix = path.suffix.lower()
-    if suffix in (".svo", ".svo2"):
-        raise SourceError(
-            "an SVO recording can only be read by Stereolabs' own software",
-            file=path,
-            remedy="Export it where the ZED SDK is: ZED_SVO_Export <file.svo> <folder> 4; then run on the folder",
-        )
     if suffix not in FILE_OPENERS:
         raise SourceError(f"files ending in {suffix!r} are not known", file=path, remedy=f"Known: {known_layouts()}")
     return FILE_OPENERS[suffix](path, options)
@@ -56,10 +63,34 @@ def limit_pixels(source: Source, max_pixels: int) -> Source:
     return cast(Source, replace(cast(Any, source), max_pixels=max_pixels))
 
 
+def expect_eyes(source: Source, eye_size: tuple[int, int]) -> Source:
+    """The same recording; pictures that are to hold two eyes of `eye_size` (width, height) and hold one are refused."""
+    return cast(Source, replace(cast(Any, source), eye_size=eye_size)) if hasattr(source, "eye_size") else source
+
+
 def known_layouts() -> str:
     """One sentence that lists what a SOURCE can be."""
     return (
         "a folder with left/ and right/; a folder with left*.png right*.png (also *_left/_right, *L/*R); a folder that "
-        "holds left.png right.png, or a folder of such folders; a side-by-side image or a folder of them; "
-        "a side-by-side video; a ROS 1 or ROS 2 bag or MCAP file"
+        "holds left.png right.png, or a folder of such folders; the layouts of KITTI, EuRoC, TUM-VI, Middlebury, ETH3D "
+        "and RealSense; a side-by-side image or a folder of them; "
+        "a side-by-side video, or a folder with a left and a right one; a ROS 1 or ROS 2 bag or MCAP file; "
+        "an SVO2 recording"
     )
+
+
+def describe(source: Source) -> str:
+    """One line that says what is taken for what: "120 side-by-side frames of 2 × 1280×720, …"."""
+    about, count = source.description, len(source.names)
+    kind = KINDS.get(about["kind"], "frame# of " + " and ".join(about.get("topics", [about["kind"]])))
+    words = f"{count} {kind.replace('#', 's' * (count != 1))}"
+    for index in range(min(count, MOST_TRIED)):
+        try:
+            pair = source.read(index)
+        except FrameError:
+            continue
+        height, width = pair.left.shape[:2]
+        words += f"{',' if ' of ' in words else ' of'} 2 × {width}×{height}"
+        words += f", stamps: {pair.stamp_source}" if pair.stamp_source else ""
+        break
+    return "; ".join(filter(None, (words, *getattr(source, "notes", ()))))

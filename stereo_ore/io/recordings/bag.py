@@ -1,45 +1,59 @@
-"""ROS 1 bags, ROS 2 bags (sqlite3 or MCAP) and single MCAP files, read without ROS by the rosbags package."""
+"""Bags as recordings: ROS 1 and ROS 2 bags, MCAP files of ROS and of Foxglove, recordings of RealSense."""
 
 from __future__ import annotations
 
+import logging
+import re
 import weakref
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from stereo_ore.config.models import MAX_PIXELS
-from stereo_ore.errors import FrameError, MissingExtraError, SourceError, StereoOreError
+from stereo_ore.errors import FrameError, SourceError, StereoOreError
 from stereo_ore.io.recordings import ros_messages
-from stereo_ore.io.recordings.images import check_alike, to_8_bit
+from stereo_ore.io.recordings.access_units import UnitDecoder, is_key
+from stereo_ore.io.recordings.bag_files import BAG_SUFFIXES, Messages, known_faults, open_messages
+from stereo_ore.io.recordings.base import make_pair, sampled_depth
+from stereo_ore.io.recordings.camera_infos import Taken, calibration_of
+from stereo_ore.io.recordings.images import Image, check_alike, to_8_bit
 from stereo_ore.io.recordings.names import frame_names, stamp_name
 from stereo_ore.io.recordings.pairing import Pair, pair_by_stamp
-from stereo_ore.io.recordings.topics import camera_info_topic, choose_topics, is_rectified
+from stereo_ore.io.recordings.stamps import Stamp
+from stereo_ore.io.recordings.topics import choose_topics
 from stereo_ore.types import StereoCalibration, StereoPair
 
-if TYPE_CHECKING:
-    from rosbags.highlevel import AnyReader
+log = logging.getLogger(__name__)
 
-BAG_SUFFIXES = (".bag", ".mcap", ".db3")
 SKEW_EDGES_MS = (0.0, 0.1, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
+DEVICE_TIME = re.compile(r"(?:^|;)timestamp=(\d+(?:\.\d+)?)(?:;|$)")
+"""Time at which RealSense's camera took an image [ms], in the text that its recorder writes beside it."""
 
 
 @dataclass(frozen=True)
 class BagOptions:
-    """What the user may say of a bag: topics of the left and right images, and how far apart their stamps may be."""
+    """What the user may say of a recording: topics of the left and right images, and how far apart stamps may be."""
 
     topics: tuple[str, str] | None = None
     max_skew_ms: float = 5.0
 
 
 class Entry(NamedTuple):
-    """One image in a bag: when it was recorded (its place in the bag) and when it was taken."""
+    """One image in a bag.
+
+    When it was recorded (its place in the bag), when it was taken, whether that is the message's own stamp, and
+    whether it is part of a video, and one that decoding can begin at.
+    """
 
     logged_ns: int
     stamp_ns: int
+    stamped: bool = True
+    video: bool = False
+    key: bool = False
 
 
 class Reader:
@@ -47,46 +61,71 @@ class Reader:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._bag: AnyReader | None = None
+        self._bag: Messages | None = None
+        self._videos: dict[str, tuple[UnitDecoder, dict[Entry, int]]] = {}
 
     def __reduce__(self) -> tuple[type[Reader], tuple[Path]]:
         return Reader, (self.path,)
 
     @property
-    def bag(self) -> AnyReader:
+    def bag(self) -> Messages:
         """The open bag."""
         if self._bag is None:
-            self._bag = _open(self.path)
+            self._bag = open_messages(self.path)
             weakref.finalize(self, self._bag.close)
         return self._bag
 
-    def topics(self, *types: str) -> set[str]:
-        """Topics that carry messages of these types."""
-        return {connection.topic for connection in self.bag.connections if connection.msgtype in types}
-
-    def messages(
-        self, topics: Collection[str], start: int | None = None, stop: int | None = None
-    ) -> Iterator[tuple[str, int, Any]]:
-        """Topic, time of recording [ns] and message, of some topics, from `start` to before `stop`."""
-        connections = [connection for connection in self.bag.connections if connection.topic in topics]
-        for connection, logged_ns, data in self.bag.messages(connections, start, stop):
-            yield connection.topic, logged_ns, self.bag.deserialize(data, connection.msgtype)
+    def image_topics(self) -> set[str]:
+        """Topics that carry images."""
+        return {topic for topic, kind in self.bag.types.items() if kind in ros_messages.IMAGE_TYPES}
 
     def entries(self, topics: tuple[str, str]) -> tuple[list[Entry], list[Entry]]:
         """All images of two topics, by stamp; where a driver leaves the stamp empty, the time of recording counts."""
         found: dict[str, list[Entry]] = {topic: [] for topic in topics}
-        with _known_faults(self.path):
-            for topic, logged_ns, message in self.messages(topics):
-                found[topic].append(Entry(logged_ns, ros_messages.stamp_ns(message) or logged_ns))
+        with known_faults(self.path):
+            device_ns = {topic: self._device_times(topic) for topic in topics}
+            for topic, logged_ns, message in self.bag.messages(topics):
+                found[topic].append(_entry(logged_ns, message, device_ns[topic]))
         left, right = (sorted(found[topic], key=lambda entry: (entry.stamp_ns, entry.logged_ns)) for topic in topics)
         return left, right
 
-    def message(self, topic: str, entry: Entry) -> Any:
+    def image(self, topic: str, entries: Sequence[Entry], entry: Entry, max_pixels: int) -> Image:
+        """The picture of an entry: (H, W, 3) BGR, uint8 or uint16; `entries` are all of its topic by stamp."""
+        if not entry.video:
+            return ros_messages.image(self._message(topic, entry), self.path, max_pixels)
+        if topic not in self._videos:
+            units = sorted(entries, key=lambda each: each.logged_ns)
+            decoder = UnitDecoder(
+                self.path, [unit.key for unit in units], lambda i: bytes(self._message(topic, units[i]).data)
+            )
+            self._videos[topic] = decoder, {unit: number for number, unit in enumerate(units)}
+        decoder, numbers = self._videos[topic]
+        return decoder.picture(numbers[entry], max_pixels)
+
+    def _message(self, topic: str, entry: Entry) -> Any:
         """The message of an entry."""
-        for _, logged_ns, message in self.messages([topic], entry.logged_ns, entry.logged_ns + 1):
-            if (ros_messages.stamp_ns(message) or logged_ns) == entry.stamp_ns:
+        for _, logged_ns, message in self.bag.messages([topic], entry.logged_ns, entry.logged_ns + 1):
+            if not entry.stamped or (ros_messages.stamp_ns(message) or logged_ns) == entry.stamp_ns:
                 return message
         raise FrameError(f"has lost its message at {entry.logged_ns} ns", code="UNREADABLE_IMAGE", file=self.path)
+
+    def _device_times(self, topic: str) -> dict[int, int]:
+        """Times of the camera [ns] by time of recording, where a RealSense recorder has written them as text."""
+        place, found, _ = topic.partition("/image/data")
+        name = f"{place}/image/metadata"
+        if not found or self.bag.types.get(name) != "std_msgs/msg/String":
+            return {}
+        times = ((logged_ns, DEVICE_TIME.search(message.data)) for _, logged_ns, message in self.bag.messages([name]))
+        return {logged_ns: round(1e6 * float(match[1])) for logged_ns, match in times if match}
+
+
+def _entry(logged_ns: int, message: Any, device_ns: Mapping[int, int]) -> Entry:
+    video = ros_messages.is_video(message)
+    key = video and is_key(bytes(message.data))
+    if logged_ns in device_ns:
+        return Entry(logged_ns, device_ns[logged_ns], False, video, key)
+    stamp_ns = ros_messages.stamp_ns(message)
+    return Entry(logged_ns, stamp_ns or logged_ns, bool(stamp_ns), video, key)
 
 
 @dataclass(frozen=True)
@@ -99,7 +138,6 @@ class BagPairs:
     entries: tuple[tuple[Entry | None, Entry | None], ...]
     options: BagOptions
     reader: Reader
-    calibration: StereoCalibration | None = None
     max_pixels: int = MAX_PIXELS
 
     @property
@@ -116,14 +154,44 @@ class BagPairs:
             "skew_ms": {"from": list(SKEW_EDGES_MS), "pairs": counts.tolist(), "largest": max(skews, default=None)},
         }
 
+    @cached_property
+    def calibration(self) -> StereoCalibration | None:
+        """The calibration in the camera_info of both eyes; looked at only when no other one is given.
+
+        Raises
+        ------
+        CalibrationError
+            When it describes an impossible camera or changes on the way.
+        """
+        left, right = ([Taken(entry.logged_ns, entry.stamp_ns) for entry in eye] for eye in self.by_eye)
+        with known_faults(self.path):
+            return calibration_of(self.reader.bag, self.topics, (left, right), self.path)
+
+    @cached_property
+    def by_eye(self) -> tuple[list[Entry], list[Entry]]:
+        """All images of either eye."""
+        left, right = ([entry for pair in self.entries if (entry := pair[eye])] for eye in (0, 1))
+        return left, right
+
+    @cached_property
+    def depth(self) -> int:
+        """Bits of 16-bit images."""
+        return sampled_depth(len(self.names), self.eyes)
+
     def files(self, index: int) -> tuple[Path, ...]:
         """The files of the bag."""
         if self.path.is_file():
-            return (self.path,)
+            log = self.path.with_name(f"{self.path.name}-wal")
+            return (self.path, log) if log.is_file() else (self.path,)
         return tuple(sorted(file for file in self.path.iterdir() if file.is_file()))
 
-    def read(self, index: int) -> StereoPair:
-        """Read both messages of frame `index`."""
+    def stamp(self, index: int) -> Stamp | None:
+        """When the left image's message says that it was taken; without a left image, the right one's."""
+        entry = next(entry for entry in self.entries[index] if entry)
+        return Stamp(entry.stamp_ns, "header" if entry.stamped or entry.stamp_ns != entry.logged_ns else "container")
+
+    def eyes(self, index: int) -> tuple[Image, Image]:
+        """Both images of frame `index` as stored."""
         left, right = self.entries[index]
         if left is None or right is None:
             missing = "left" if left is None else "right"
@@ -134,41 +202,54 @@ class BagPairs:
                 remedy="Frames are paired by stamp; --max-skew-ms is the limit",
             )
         try:
-            messages = self.reader.message(self.topics[0], left), self.reader.message(self.topics[1], right)
-            left_image, right_image = (ros_messages.image(message, self.path, self.max_pixels) for message in messages)
+            images = [
+                self.reader.image(topic, entries, entry, self.max_pixels)
+                for topic, entries, entry in zip(self.topics, self.by_eye, (left, right), strict=True)
+            ]
         except StereoOreError:
             raise
         except Exception as fault:  # rosbags raises what it likes; messages have the fields that the bag defines
             raise FrameError(f"can't be read here: {fault}", code="UNREADABLE_IMAGE", file=self.path) from None
-        check_alike(left_image, right_image, f"{self.path}: {self.topics[0]}", self.topics[1])
-        return StereoPair(
-            *to_8_bit(left_image, right_image), name=self.names[index], index=index, stamp_ns=left.stamp_ns
-        )
+        check_alike(images[0], images[1], f"{self.path}: {self.topics[0]}", self.topics[1])
+        return images[0], images[1]
+
+    def read(self, index: int) -> StereoPair:
+        """Read both messages of frame `index`."""
+        left, right = self.eyes(index)
+        depth = self.depth if left.dtype == np.uint16 else None
+        return make_pair(self, index, *to_8_bit(left, right, depth))
 
 
 def open_bag(path: Path, options: BagOptions) -> BagPairs:
-    """Open a bag: find the topics, pair the images by stamp, take the calibration that comes with them.
+    """Open a bag: find the topics and pair the images by stamp.
 
     Raises
     ------
     MissingExtraError
-        Without the rosbags package.
+        Without the packages that read it.
     SourceError
         When it can't be read or holds no recognisable pair of image topics.
-    CalibrationError
-        When its camera_info describes an impossible camera.
     """
+    if path.suffix == ".zstd" and path.is_file():
+        path = _folder_of(path)
     reader = Reader(path)
-    topics = choose_topics(reader.topics(*ros_messages.IMAGE_TYPES), options.topics, path)
+    found = reader.image_topics()
+    if not found and (unread := getattr(reader.bag, "unread", "")):
+        raise SourceError(f"holds no image that can be read here: {unread}", file=path, remedy="Record it with ROS")
+    topics = choose_topics(found, options.topics, path)
     left, right = reader.entries(topics)
+    faults = [f"{topic} ({reader.bag.types[topic]}): {fault}" for topic, fault in reader.bag.faults.items()]
     if not left and not right:
-        raise SourceError("holds no image", file=path, key=", ".join(topics))
+        what = "no image that can be read" if faults else "no image"
+        raise SourceError(f"holds {what}: {'; '.join(faults or topics)}", file=path, remedy="Record it again")
+    for fault in faults:
+        log.warning("%s: messages are passed over: %s", path, fault)
     pairs = pair_by_stamp(
         [entry.stamp_ns for entry in left], [entry.stamp_ns for entry in right], round(options.max_skew_ms * 1e6)
     )
     entries = tuple(_entries(pair, left, right) for pair in pairs)
     names = frame_names(stamp_name((first or second).stamp_ns) for first, second in entries if first or second)  # type: ignore[union-attr]
-    return BagPairs(path, names, topics, entries, options, reader, _calibration(reader, topics))
+    return BagPairs(path, names, topics, entries, options, reader)
 
 
 def is_bag_folder(path: Path) -> bool:
@@ -176,48 +257,13 @@ def is_bag_folder(path: Path) -> bool:
     return (path / "metadata.yaml").is_file() and any(file.suffix in BAG_SUFFIXES for file in path.iterdir())
 
 
+def _folder_of(path: Path) -> Path:
+    """The bag that a compressed file belongs to, whose metadata say how it is compressed."""
+    if is_bag_folder(path.parent):
+        return path.parent
+    raise SourceError("is a compressed part of a bag", file=path, remedy=f"Unpack it: zstd -d {path.name}")
+
+
 def _entries(pair: Pair, left: Sequence[Entry], right: Sequence[Entry]) -> tuple[Entry | None, Entry | None]:
     i, j = pair
     return None if i is None else left[i], None if j is None else right[j]
-
-
-def _calibration(reader: Reader, topics: tuple[str, str]) -> StereoCalibration | None:
-    """The calibration in the first camera_info of both eyes; None when an eye has none, or it says nothing."""
-    if any(camera_info_topic(topic) not in reader.topics(ros_messages.CAMERA_INFO) for topic in topics):
-        return None
-    with _known_faults(reader.path):
-        infos = [_first(reader, camera_info_topic(topic)) for topic in topics]
-        if any(info is None or not np.any(ros_messages.matrix(info, "K")) for info in infos):
-            return None
-        return ros_messages.calibration(infos[0], infos[1], is_rectified(topics[0]), reader.path)
-
-
-def _first(reader: Reader, topic: str) -> Any:
-    """The first message of a topic; None when there is none."""
-    return next((message for _, _, message in reader.messages([topic])), None)
-
-
-def _open(path: Path) -> AnyReader:
-    try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError:
-        raise MissingExtraError("rosbags", "bags") from None
-    with _known_faults(path):
-        bag = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
-        bag.open()
-    return bag
-
-
-@contextmanager
-def _known_faults(path: Path) -> Iterator[None]:
-    """Whatever rosbags and its storages raise on a damaged file, as a SourceError."""
-    try:
-        yield
-    except StereoOreError:
-        raise
-    except Exception as fault:
-        remedy = 'Repair it: "rosbag reindex", "ros2 bag reindex" or "mcap recover"'
-        raise SourceError(
-            f"can't be read as a bag: {fault or type(fault).__name__}", file=path, remedy=remedy
-        ) from None

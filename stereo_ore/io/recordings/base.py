@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
+from stereo_ore.errors import FrameError
+from stereo_ore.io.recordings.images import Image, depth_of
+from stereo_ore.io.recordings.stamps import Stamp
 from stereo_ore.types import StereoCalibration, StereoPair
 
 
@@ -40,6 +43,10 @@ class Source(Protocol):
         """The files that frame `index` is read from."""
         ...
 
+    def stamp(self, index: int) -> Stamp | None:
+        """When frame `index` was taken, whether or not it can be read."""
+        ...
+
     def read(self, index: int) -> StereoPair:
         """Read one frame.
 
@@ -49,3 +56,24 @@ class Source(Protocol):
             When the frame is incomplete or unreadable; the frames around it are not touched by that.
         """
         ...
+
+
+def make_pair(source: Source, index: int, left: Any, right: Any) -> StereoPair:
+    """Frame `index` of a recording, from its (H, W, 3) uint8 images."""
+    stamp = source.stamp(index)
+    ns, origin = (stamp.ns, stamp.source) if stamp else (None, None)
+    return StereoPair(left, right, source.names[index], index, ns, origin)
+
+
+def sampled_depth(count: int, read: Callable[[int], tuple[Image, Image]]) -> int:
+    """Bits of the pixels of a recording of 16-bit images: the most that any of five frames spread over it uses.
+
+    One depth for the whole recording keeps brightnesses of its frames comparable, whatever order they are read in.
+    """
+    depths = [8]
+    for index in sorted({(count - 1) * part // 4 for part in range(5)}):
+        try:
+            depths.append(depth_of(read(index)))
+        except FrameError:
+            continue
+    return max(depths)

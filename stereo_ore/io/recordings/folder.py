@@ -1,31 +1,43 @@
-"""Folders of left and right images in the layouts that cameras and their tools write."""
+"""Folders of images or videos, in the layouts that cameras and their tools write."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from stereo_ore.config.models import MAX_PIXELS
 from stereo_ore.errors import FrameError, SourceError
-from stereo_ore.io.recordings.images import check_alike, is_image, read_both, to_8_bit
+from stereo_ore.io.recordings.base import make_pair, sampled_depth
+from stereo_ore.io.recordings.images import IMAGE_SUFFIXES, Image, check_alike, file_notes, read_both, to_8_bit
+from stereo_ore.io.recordings.layouts import Eyes, Files, Listing, find_eyes, list_files
 from stereo_ore.io.recordings.names import frame_names, name_stamp, natural_key, split_name
+from stereo_ore.io.recordings.pairing import pair_by_stamp
 from stereo_ore.io.recordings.side_by_side import SideBySideImages
+from stereo_ore.io.recordings.stamps import Stamp, file_stamp, stamp_table
+from stereo_ore.io.recordings.video import VIDEO_SUFFIXES, VideoPairs, open_video_pairs
 from stereo_ore.types import StereoCalibration, StereoPair
 
-Files = dict[str, Path]
+MOST_NAMES = 6
+"""Entries of a folder that a message names."""
 
 
 @dataclass(frozen=True)
 class ImagePairs:
-    """Frames of two files each; either may be missing."""
+    """Frames of two files each; either may be missing. `stamps` [ns] are those of a table, by name of file."""
 
     path: Path
     names: tuple[str, ...]
     pairs: tuple[tuple[Path | None, Path | None], ...]
     calibration: StereoCalibration | None = None
     max_pixels: int = MAX_PIXELS
+    stamps: Mapping[str, int] = field(default_factory=dict)
+    layout: str = ""
 
     @property
     def description(self) -> Mapping[str, Any]:
@@ -33,12 +45,28 @@ class ImagePairs:
         unpaired = sum(None in pair for pair in self.pairs)
         return {"kind": "image pairs", "frames": len(self.names), "unpaired": unpaired}
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Which layout it is, where it has a name, and how the files of the first frame are to be turned."""
+        return (*filter(None, (self.layout,)), *file_notes(self.files(0)[0]))
+
+    @cached_property
+    def depth(self) -> int:
+        """Bits of 16-bit images."""
+        return sampled_depth(len(self.names), self.eyes)
+
     def files(self, index: int) -> tuple[Path, ...]:
         """The files of frame `index` that exist."""
         return tuple(file for file in self.pairs[index] if file)
 
-    def read(self, index: int) -> StereoPair:
-        """Read both images of frame `index`."""
+    def stamp(self, index: int) -> Stamp | None:
+        """When a table, the name or the left file says that it was taken."""
+        files = self.files(index)
+        table = next((self.stamps[file.name] for file in files if file.name in self.stamps), None)
+        return file_stamp(self.names[index], files) if table is None else Stamp(table, "csv")
+
+    def eyes(self, index: int) -> tuple[Image, Image]:
+        """Both images of frame `index` as stored."""
         left, right = self.pairs[index]
         if left is None or right is None:
             missing = "left" if left is None else "right"
@@ -50,103 +78,129 @@ class ImagePairs:
             )
         images = read_both(left, right, self.max_pixels)
         check_alike(*images, left, right.name)
-        return StereoPair(
-            *to_8_bit(*images), name=self.names[index], index=index, stamp_ns=name_stamp(self.names[index])
-        )
+        return images
+
+    def read(self, index: int) -> StereoPair:
+        """Read both images of frame `index`."""
+        left, right = self.eyes(index)
+        depth = self.depth if left.dtype == np.uint16 else None
+        return make_pair(self, index, *to_8_bit(left, right, depth))
 
 
-def open_two_files(left: Path, right: Path) -> ImagePairs:
-    """One frame of two named files."""
+def open_two_files(left: Path, right: Path, max_skew_ms: float = 5.0) -> ImagePairs | VideoPairs:
+    """Two named files, one frame of images or a video an eye, or two folders of images.
+
+    Raises
+    ------
+    SourceError
+        When one is not there, or the two are not of the same kind.
+    """
     for file in (left, right):
-        if not file.is_file():
+        if not file.exists():
             raise SourceError("no such file", file=file, remedy="Check the path")
+    if left.is_dir() and right.is_dir():
+        return _paired(left.parent, Eyes(_by_stem(left, "left"), _by_stem(right, "right")), max_skew_ms)
     side, key = split_name(left.stem)
     name = key or left.resolve().parent.name if side else left.stem
+    if all(file.suffix.lower() in VIDEO_SUFFIXES for file in (left, right)):
+        return open_video_pairs(left.parent, {name: (left, right)})
+    for file, other in ((left, right), (right, left)):
+        if file.is_dir() or file.suffix.lower() in VIDEO_SUFFIXES:
+            raise SourceError(
+                f"and {other.name} are not of the same kind", file=file, remedy="Give two images, videos or folders"
+            )
     return ImagePairs(left.parent, frame_names([name]), ((left, right),))
 
 
-def open_folder(path: Path) -> ImagePairs | SideBySideImages:
-    """Open a folder of images in whichever known layout it has.
+def open_folder(path: Path, max_skew_ms: float = 5.0) -> ImagePairs | SideBySideImages | VideoPairs:
+    """Open a folder of images in whichever known layout it has; without images, of videos.
 
     Raises
     ------
     SourceError
         When it has none of them, saying what is in it.
     """
-    subfolders = {child.name.lower(): child for child in sorted(path.iterdir()) if child.is_dir()}
-    if {"left", "right"} <= subfolders.keys():
-        return _paired(path, _by_stem(subfolders["left"]), _by_stem(subfolders["right"]))
-    images = sorted(filter(is_image, path.iterdir()), key=lambda file: natural_key(file.stem))
-    if _marked(images):
-        return _paired(path, *_by_mark(images, path.resolve().name))
-    frames = [(child, sorted(filter(is_image, child.iterdir()))) for child in subfolders.values()]
-    if any(_marked(files) for _, files in frames):
-        return _paired(path, *_by_folder(frames))
-    if images and not any(split_name(image.stem)[0] for image in images):
+    listing = list_files(path, IMAGE_SUFFIXES)
+    eyes = find_eyes(listing, path.resolve().name)
+    if eyes.left and eyes.right:
+        return _paired(path, eyes, max_skew_ms)
+    images = listing.get("", [])
+    if images and not (eyes.left or eyes.right):
+        images = sorted(images, key=lambda file: natural_key(file.stem))
         return SideBySideImages(path, frame_names([file.stem for file in images]), tuple(images))
-    raise _unknown_layout(path, images)
+    if not any(listing.values()):
+        videos = find_eyes(list_files(path, VIDEO_SUFFIXES), path.resolve().name)
+        if videos.left and videos.right:
+            return open_video_pairs(path, _both(path, videos))
+    if {"left", "right"} <= {child.name.lower() for child in path.iterdir() if child.is_dir()}:
+        raise _none_together(path, eyes)
+    raise _unknown_layout(path, listing, eyes)
 
 
-def _marked(images: Iterable[Path]) -> bool:
-    """Whether left and right images are among them."""
-    return {"left", "right"} <= {split_name(image.stem)[0] for image in images}
+def _by_stem(folder: Path, side: str) -> Files:
+    """Images of one eye's folder by name, which may carry the mark of that eye."""
+    eyes = Eyes()
+    for files in list_files(folder, IMAGE_SUFFIXES).values():
+        for file in files:
+            own, key = split_name(file.stem)
+            eyes.add("left", key if own == side and key else file.stem, file)
+    return eyes.left
 
 
-def _by_mark(images: Iterable[Path], default_key: str, prefix: str = "") -> tuple[Files, Files]:
-    """Left and right images by frame; an image without a mark is no part of any frame."""
-    sides: dict[str, Files] = {"left": {}, "right": {}}
-    for image in images:
-        side, key = split_name(image.stem)
-        if side:
-            _add(sides[side], prefix + key if key else default_key, image)
-    return sides["left"], sides["right"]
+def _paired(path: Path, eyes: Eyes, max_skew_ms: float) -> ImagePairs:
+    """Frames of the same name or, where all names are stamps that differ, of nearly the same stamp."""
+    left, right = eyes.left, eyes.right
+    if left.keys() == right.keys() or not (keys := _pairs_by_stamp(left, right, max_skew_ms)):
+        if not left.keys() & right.keys():
+            raise _none_together(path, eyes)
+        keys = [(key, key) for key in sorted(left.keys() | right.keys(), key=natural_key)]
+    names = frame_names(one if one in left else other for one, other in keys)
+    tables = [stamp_table(Path(folder)) for folder in {os.path.dirname(file): None for file in left.values()}]
+    table = {name: ns for each in tables for name, ns in each.items()}
+    pairs = tuple((left.get(one), right.get(other)) for one, other in keys)
+    return ImagePairs(path, names, pairs, stamps=table, layout=eyes.layout)
 
 
-def _by_folder(frames: Iterable[tuple[Path, list[Path]]]) -> tuple[Files, Files]:
-    lefts, rights = Files(), Files()
-    for folder, images in frames:
-        left, right = _by_mark(images, folder.name, f"{folder.name}_")
-        lefts |= left
-        rights |= right
-    return lefts, rights
+def _pairs_by_stamp(left: Files, right: Files, max_skew_ms: float) -> list[tuple[str, str]]:
+    """Keys of the left and right image of each frame, where all are stamps; of a lost one, that of its partner."""
+    stamps = [{key: name_stamp(key) for key in files} for files in (left, right)]
+    if not all(each and None not in each.values() for each in stamps):
+        return []
+    one, other = (sorted((ns, key) for key, ns in each.items() if ns is not None) for each in stamps)
+    pairs = pair_by_stamp([ns for ns, _ in one], [ns for ns, _ in other], round(max_skew_ms * 1e6))
+    return [("" if i is None else one[i][1], "" if j is None else other[j][1]) for i, j in pairs]
 
 
-def _by_stem(folder: Path) -> Files:
-    """Images by the frame's key, which may (left/left0001.png) or may not (left/0001.png) carry the side."""
-    files = Files()
-    for file in sorted(filter(is_image, folder.iterdir())):
-        _add(files, split_name(file.stem)[1] or file.stem, file)
-    return files
+def _both(path: Path, eyes: Eyes) -> dict[str, tuple[Path, Path]]:
+    if not eyes.pairs:
+        raise _none_together(path, eyes)
+    keys = sorted(eyes.left.keys() & eyes.right.keys(), key=natural_key)
+    return {key: (eyes.left[key], eyes.right[key]) for key in keys}
 
 
-def _add(files: Files, key: str, file: Path) -> None:
-    if key in files:
-        raise SourceError(
-            f"{file.name} and {files[key].name} are for the same eye of frame {key!r}",
-            file=file.parent,
-            remedy="Keep one of them",
-        )
-    files[key] = file
+def _none_together(path: Path, eyes: Eyes) -> SourceError:
+    examples = [min(files.values()).name for files in (eyes.left, eyes.right) if files]
+    such = f": {', '.join(examples)}" if examples else ""
+    return SourceError(
+        f"has {len(eyes.left)} left and {len(eyes.right)} right images, none of which belong together{such}",
+        file=path,
+        remedy="Left and right images must have the same name but for the mark, or all be named by their stamps",
+    )
 
 
-def _paired(path: Path, left: Files, right: Files) -> ImagePairs:
-    keys = sorted(left.keys() | right.keys(), key=natural_key)
-    if not left.keys() & right.keys():
-        raise SourceError(
-            f"has {len(left)} left and {len(right)} right images, none of which belong together",
-            file=path,
-            remedy="Left and right images must have the same name but for the mark",
-        )
-    return ImagePairs(path, frame_names(keys), tuple((left.get(key), right.get(key)) for key in keys))
-
-
-def _unknown_layout(path: Path, images: list[Path]) -> SourceError:
+def _unknown_layout(path: Path, listing: Listing, eyes: Eyes) -> SourceError:
     children = sorted(path.iterdir())
-    if images:
-        found = f"holds images of one eye only, such as {images[0].name}"
+    if found := [*eyes.left.values(), *eyes.right.values()]:
+        problem = f"holds images of one eye only, such as {found[0].name}"
     else:
-        found = f"holds no stereo images that are known ({len(children)} entries)"
-    files = [child.name for child in children if child.is_file() and not is_image(child)]
+        problem = f"holds no stereo images that are known ({len(children)} entries{_named(children)})"
+    images = {file for files in listing.values() for file in files}
+    files = [child.name for child in children if child.is_file() and child not in images]
     hint = f"; it holds {files[0]}: name a recording file itself" if files else ""
     expected = "Expected left/ and right/, left*.png and right*.png, or side-by-side images"
-    return SourceError(found, file=path, remedy=expected + hint)
+    return SourceError(problem, file=path, remedy=expected + hint)
+
+
+def _named(children: Sequence[Path]) -> str:
+    names = [f"{child.name}/" if child.is_dir() else child.name for child in children]
+    return f": {', '.join(names[:MOST_NAMES])}{', …' * (len(names) > MOST_NAMES)}" if names else ""

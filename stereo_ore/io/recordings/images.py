@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import struct
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +14,22 @@ import numpy.typing as npt
 
 from stereo_ore.config.models import MAX_PIXELS
 from stereo_ore.errors import FrameError
-from stereo_ore.io.recordings.image_header import claimed_size
+from stereo_ore.io.recordings import jpeg
+from stereo_ore.io.recordings.image_header import claimed_size, tiff_pages, tiff_tags
 from stereo_ore.io.recordings.quiet import overheard
 from stereo_ore.threads import pool
 from stereo_ore.types import U8
 
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".webp", ".jps", ".mpo")
 BYTES_PER_PIXEL, HEADER_BYTES = 8, 1_000_000
 """Four channels of 16 bit, uncompressed, and what else a file may hold."""
-_END_MARKS = {b"\x89PNG": b"IEND", b"\xff\xd8": b"\xff\xd9"}
-_DAMAGE = re.compile(rb"Corrupt JPEG|Premature end of JPEG|Inconsistent progression|libpng error|TIFF_Error")
+_JPEG, _PNG, _TIFF = b"\xff\xd8", b"\x89PNG\r\n\x1a\n", (b"II", b"MM")
+_PNG_END = b"IEND\xaeB`\x82"
+_DAMAGE = re.compile(rb"libpng error|TIFF_Error")
+TURNS = {3: "by 180°", 6: "by 90° clockwise", 8: "by 90° anticlockwise"}
+"""Exif's orientations in words; the others mirror."""
+BRIGHT_SHARE = 1e-4
+"""Share of the pixels that may be brighter than the depth of the recording allows: defects of the sensor."""
 
 
 def is_image(path: Path) -> bool:
@@ -41,14 +49,21 @@ def read_image(path: Path, max_pixels: int = MAX_PIXELS) -> Image:
     FrameError
         When the file is missing, empty, cut off, damaged, too large, or no image.
     """
-    return decode_image(_bytes_of(path, max_pixels), path, max_pixels)
+    return decode_image(read_bytes(path, max_pixels), path, max_pixels)
 
 
 def read_both(left: Path, right: Path, max_pixels: int = MAX_PIXELS) -> tuple[Image, Image]:
-    """Both eyes' files as `read_image`, decoded side by side, which takes half the time."""
-    files = (left, _bytes_of(left, max_pixels)), (right, _bytes_of(right, max_pixels))
+    """Both eyes' files as `read_image`, decoded side by side, which takes half the time.
+
+    Raises
+    ------
+    FrameError
+        As `read_image`, and when the files say that one eye is to be turned and the other is not.
+    """
+    files = (left, read_bytes(left, max_pixels)), (right, read_bytes(right, max_pixels))
     for path, data in files:
         _check(path, data, max_pixels)
+    _check_turns(files)
     images, complaints = overheard(lambda: list(pool().map(_decode, [data for _, data in files])))
     if complaints or any(image is None for image in images):
         # One after the other, to hear whose they are.
@@ -57,7 +72,81 @@ def read_both(left: Path, right: Path, max_pixels: int = MAX_PIXELS) -> tuple[Im
     return one, other
 
 
-def _bytes_of(path: Path, max_pixels: int) -> bytes:
+def read_side_by_side(path: Path, max_pixels: int = MAX_PIXELS) -> tuple[Image, Image]:
+    """Both eyes of a file that holds them beside each other or as two pictures, left eye first.
+
+    Which half is the left eye is what a JPEG stereo file says; of one that says nothing, the right half.
+
+    Raises
+    ------
+    FrameError
+        As `read_image`, and when the file says that its eyes are arranged otherwise.
+    """
+    data = read_bytes(path, max_pixels)
+    if pair := jpeg.pictures(data):
+        left, right = (decode_image(picture, path, max_pixels) for picture in pair)
+        check_alike(left, right, path, "its second picture")
+        return left, right
+    packing = packing_of(data, path)
+    image = decode_image(data, path, max_pixels)
+    return split_in_two(image, path, packing or "left-right")
+
+
+def packing_of(data: bytes, path: Path) -> str | None:
+    """What an image file says of its eyes; None: nothing."""
+    said = jpeg.jps_packing(data) if data.startswith(_JPEG) else None
+    return said or ("right-left" if path.suffix.lower() == ".jps" else None)
+
+
+def is_stereo_file(path: Path) -> bool:
+    """Whether an image file says of itself that it holds both eyes; errors as those of `read_image`."""
+    data = read_bytes(path)
+    return packing_of(data, path) is not None or bool(jpeg.pictures(data))
+
+
+def turn_of(data: bytes) -> int:
+    """The turn that an image file asks viewers for, as Exif counts them; 1: none. Pixels are read as stored."""
+    try:
+        if data.startswith(_JPEG):
+            return jpeg.orientation(data)
+        return int(tiff_tags(data).get(jpeg.ORIENTATION, 1)) if data.startswith(_TIFF) else 1
+    except (struct.error, OverflowError):
+        return 1
+
+
+def turn_words(turn: int) -> str:
+    """A turn in words."""
+    return TURNS.get(turn, "over" if turn in (2, 4, 5, 7) else "in no way")
+
+
+def file_notes(path: Path) -> tuple[str, ...]:
+    """What an image file says that is worth a word: which eye comes first, a turn that is not made."""
+    try:
+        data = read_bytes(path)
+    except FrameError:
+        return ()
+    turn, exchanged = turn_of(data), packing_of(data, path) == "right-left" and not jpeg.pictures(data)
+    return (
+        *([f"{path.name} says that the right eye comes first"] if exchanged else ()),
+        *([f"{path.name} asks viewers to turn it {turn_words(turn)}, pixels are taken as stored"] if turn != 1 else ()),
+    )
+
+
+def _check_turns(files: Sequence[tuple[Path, bytes]]) -> None:
+    (left, one), (right, other) = ((path, turn_of(data)) for path, data in files)
+    if one != other:
+        turned, other_file = (left, right) if one != 1 else (right, left)
+        words = turn_words(one if one != 1 else other)
+        raise FrameError(
+            f"says that it is to be turned {words}, {other_file.name} does not say so",
+            code="ORIENTATION_MISMATCH",
+            file=turned,
+            remedy="Calibrations belong to pixels as stored; turn the eyes alike: exiftool -Orientation= FILES",
+        )
+
+
+def read_bytes(path: Path, max_pixels: int = MAX_PIXELS) -> bytes:
+    """The bytes of a file that may be an image of `max_pixels`; errors as those of `read_image`."""
     most = BYTES_PER_PIXEL * max_pixels + HEADER_BYTES
     try:
         if not path.is_file() and path.exists():
@@ -76,7 +165,8 @@ def decode_image(data: bytes, path: Path, max_pixels: int = MAX_PIXELS) -> Image
     """Decode the bytes of an image file; as `read_image`. `path` is for messages."""
     _check(path, data, max_pixels)
     image, complaints = overheard(lambda: _decode(data))
-    return _usable(None if _DAMAGE.search(complaints) else image, path)
+    damaged = _DAMAGE.search(complaints) or jpeg.damage(data, complaints)
+    return _usable(None if damaged else image, path)
 
 
 def _check(path: Path, data: bytes, max_pixels: int) -> None:
@@ -98,23 +188,48 @@ def _usable(image: Image | None, path: Path) -> Image:
     return as_bgr(image, path)
 
 
+def is_complete(data: bytes) -> bool | None:
+    """Whether a PNG or JPEG is there to its end, with or without bytes behind it; None for other formats.
+
+    A file whose inside is damaged but whose last bytes are an end is complete: it will not get better.
+    """
+    if data.startswith(_JPEG):
+        return data.endswith(b"\xff\xd9") or jpeg.end_of(data) is not None
+    if data.startswith(_PNG):
+        return data.endswith(_PNG_END) or claimed_size(data) is not None
+    return None
+
+
 def _check_complete(path: Path, data: bytes) -> None:
     # Decoders fill the missing part of a cut-off file with grey and only warn.
-    for magic, mark in _END_MARKS.items():
-        if data.startswith(magic) and mark not in data[-1024:]:
-            raise FrameError(
-                "is cut off: its end marker is missing",
-                code="TRUNCATED_IMAGE",
-                file=path,
-                remedy="Copy it again; was the disk full?",
-            )
+    if is_complete(data) is False:
+        raise FrameError(
+            "is cut off: its end marker is missing",
+            code="TRUNCATED_IMAGE",
+            file=path,
+            remedy="Copy it again; was the disk full?",
+        )
+    if data.startswith(_TIFF) and (pages := _pages(data)) > 1:
+        raise FrameError(
+            f"holds {pages} pages: which of them is this frame's picture is not known",
+            code="UNREADABLE_IMAGE",
+            file=path,
+            remedy="Write a file a picture, for example with tiffsplit",
+        )
+
+
+def _pages(data: bytes) -> int:
+    try:
+        return tiff_pages(data)
+    except (struct.error, OverflowError):
+        return 0
 
 
 def _check_claim(path: Path, data: bytes, max_pixels: int) -> None:
     """Refuse before decoding what is too large, and formats that are not read: their claims are not known."""
     size = claimed_size(data)
     if size is None:
-        remedy = "PNG, JPEG, TIFF and BMP are read; record or copy it again"
+        remedy = "PNG, JPEG, TIFF, BMP, WebP, PGM and PPM are read; record or copy it again"
         raise FrameError("can't be decoded as an image", code="UNREADABLE_IMAGE", file=path, remedy=remedy)
     check_pixels(*size, path, max_pixels)
 
@@ -157,8 +272,24 @@ def check_alike(left: Image, right: Image, left_name: str | Path, right_name: st
         raise FrameError(problem, code="SIZE_MISMATCH", file=left_name, remedy="Record again")
 
 
-def split_in_two(image: Image, path: Path) -> tuple[Image, Image]:
-    """Left and right half of a side-by-side image."""
+def split_in_two(image: Image, path: Path, packing: str = "left-right") -> tuple[Image, Image]:
+    """Left and right eye of a side-by-side image.
+
+    Parameters
+    ----------
+    image
+        (H, 2 W, 3) picture.
+    path
+        For messages.
+    packing
+        "left-right" or "right-left"; other words name an arrangement that is not read.
+
+    Raises
+    ------
+    FrameError
+        When the eyes are not beside each other.
+    """
+    check_packing(packing, path)
     if image.shape[1] % 2:
         raise FrameError(
             f"is {image.shape[1]} px wide: two eyes need an even width",
@@ -167,13 +298,69 @@ def split_in_two(image: Image, path: Path) -> tuple[Image, Image]:
             remedy="Is this a side-by-side image? Use --left and --right for two files",
         )
     half = image.shape[1] // 2
-    return image[:, :half].copy(), image[:, half:].copy()
+    halves = image[:, :half].copy(), image[:, half:].copy()
+    return halves if packing == "left-right" else halves[::-1]
 
 
-def to_8_bit(left: Image, right: Image) -> tuple[U8, U8]:
+def check_packing(packing: str, path: Path) -> None:
+    """FrameError when a file says that its eyes are not beside each other."""
+    if packing not in ("left-right", "right-left"):
+        raise FrameError(
+            f"says that it holds {packing}",
+            code="SIZE_MISMATCH",
+            file=path,
+            remedy="Only pictures with both eyes beside each other are read; ffmpeg's filter stereo3d makes them",
+        )
+
+
+def check_eye_size(left: Image, eye_size: tuple[int, int] | None, path: Path) -> None:
+    """FrameError when a picture that was halved is that of one eye, or holds the eyes over and under.
+
+    Parameters
+    ----------
+    left
+        (H, W, 3) half of the picture.
+    eye_size
+        Width and height [px] of one eye of the calibration; None: not known.
+    path
+        For messages.
+    """
+    height, width = left.shape[:2]
+    arrangements = {
+        (width, height): "",
+        (2 * width, height): "one eye of the calibration: these are images of one eye, not side-by-side ones",
+        (2 * width, height // 2): "two eyes of the calibration over and under, not beside each other",
+    }
+    if eye_size and (found := arrangements.get(eye_size)):
+        raise FrameError(
+            f"is {2 * width}×{height} px, as {found}",
+            code="SIZE_MISMATCH",
+            file=path,
+            remedy="Give the folder or files of both eyes (--left, --right), or side-by-side images",
+        )
+
+
+def depth_of(images: Sequence[Image]) -> int:
+    """Bits that the pixels of a recording use, 8 to 16, but for a few that are brighter (defects of the sensor)."""
+    for bits in range(15, 7, -1):
+        bright = sum(int(np.count_nonzero(image >> bits)) for image in images)
+        if bright > BRIGHT_SHARE * sum(image.size for image in images):
+            return bits + 1
+    return 8
+
+
+def to_8_bit(left: Image, right: Image, depth: int | None = None) -> tuple[U8, U8]:
     """Bring the images of one pair to 8 bit by one common shift, so that brightnesses stay comparable.
 
-    The shift is the smallest that fits the brightest value of both: a 12-bit camera in 16-bit files keeps its contrast.
+    Parameters
+    ----------
+    left, right
+        (H, W, 3) uint8 or uint16.
+    depth
+        Bits of the recording; None: as many as the pair uses. A 12-bit camera in 16-bit files keeps its contrast.
     """
-    shift = max(int(max(left.max(), right.max())).bit_length() - 8, 0)
-    return (left >> shift).astype(np.uint8), (right >> shift).astype(np.uint8)
+    if left.dtype == np.uint8:
+        return left, right
+    shift = (depth or depth_of((left, right))) - 8
+    one, other = (np.minimum(image >> shift, 255).astype(np.uint8) for image in (left, right))
+    return one, other

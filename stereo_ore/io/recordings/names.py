@@ -12,8 +12,13 @@ LONGEST_NAME = 100
 """Characters of a frame's name: results add suffixes, and file systems stop at 255 bytes."""
 
 _WORD = re.compile(r"(?:(?<![A-Za-z])(?:left|right|LEFT|RIGHT)|Left|Right)(?![a-z])")
-_LETTER = re.compile(r"(?<![A-Za-z])[LR](?![A-Za-z])")
+_LETTER = re.compile(r"(?<![A-Z])[LR](?![A-Za-z])")
 _MIDDLEBURY = re.compile(r"(?<=^im)[01]$")
+_STAMP = re.compile(
+    r"(?P<digits>\d{10}(?=[._])|\d{13}|\d{16}|\d{19})(?:(?<=^.{10})[._](?P<fraction>\d{1,9}))?", re.ASCII
+)
+STAMPS_FROM_NS, STAMPS_TO_NS = 946_684_800 * 10**9, 2_000_000_000 * 10**9
+"""2000 and 2033: smaller numbers of so many digits count something else, larger ones may be a date's digits."""
 _SIDES: dict[str, Side] = {"left": "left", "l": "left", "0": "left", "right": "right", "r": "right", "1": "right"}
 
 
@@ -56,5 +61,16 @@ def stamp_name(stamp_ns: int) -> str:
 
 
 def name_stamp(name: str) -> int | None:
-    """The stamp [ns] of a frame whose name is one (19 digits, 64 bit); other names say nothing about time."""
-    return int(name) if re.fullmatch(r"\d{19}", name, re.ASCII) and int(name) < 2**63 else None
+    """The stamp [ns since 1970, UTC] that a frame's name is; None for names that say nothing about time.
+
+    Read are 19 digits (ns, 64 bit) and, from 2000 to 2033, 16 digits (µs), 13 (ms), and seconds with a fraction
+    (``1764150000.104512``, ``1764150000_104512000``).
+    """
+    match = _STAMP.fullmatch(name)
+    if match is None:
+        return None
+    digits, fraction = match["digits"], match["fraction"]
+    if fraction is None and len(digits) == 19:
+        return int(digits) if int(digits) < 2**63 else None
+    stamp_ns = int(digits) * 10 ** (19 - len(digits)) + int((fraction or "").ljust(9, "0"))
+    return stamp_ns if STAMPS_FROM_NS <= stamp_ns < STAMPS_TO_NS else None

@@ -1,4 +1,4 @@
-"""ROS messages as this program's types: Image, CompressedImage, CameraInfo (version 1 and 2 of ROS)."""
+"""Messages as this program's types: images and calibrations of ROS 1, ROS 2 and Foxglove."""
 
 from __future__ import annotations
 
@@ -15,8 +15,15 @@ from stereo_ore.io.calibration.formats import Hints
 from stereo_ore.io.recordings.images import Image, as_bgr, check_pixels, decode_image
 from stereo_ore.types import F64, StereoCalibration
 
-IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
-CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+FOXGLOVE = ("foxglove.", "foxglove_msgs/msg/")
+"""Foxglove's messages in protobuf and in ROS."""
+IMAGE_TYPES = (
+    "sensor_msgs/msg/Image",
+    "sensor_msgs/msg/CompressedImage",
+    *(prefix + name for prefix in FOXGLOVE for name in ("RawImage", "CompressedImage", "CompressedVideo")),
+)
+CAMERA_INFO = ("sensor_msgs/msg/CameraInfo", *(prefix + "CameraCalibration" for prefix in FOXGLOVE))
+VIDEO_FORMATS = ("h264", "h265", "hevc", "avc")
 
 _ENCODINGS: dict[str, tuple[str, int, int | None]] = {  # element type, channels, conversion to BGR
     "mono8": ("u1", 1, None),
@@ -79,14 +86,20 @@ def _unpack(message: Any, kind: np.dtype[Any], channels: int, path: Path) -> Ima
             file=path,
         )
     rows = np.ascontiguousarray(data[: height * step].reshape(height, step)[:, :row])
-    pixels = rows.view(kind.newbyteorder(">" if message.is_bigendian else "<")).astype(kind)
+    pixels = rows.view(kind.newbyteorder(">" if getattr(message, "is_bigendian", False) else "<")).astype(kind)
     return pixels.reshape((height, width) if channels == 1 else (height, width, channels))
 
 
+def is_video(message: Any) -> bool:
+    """Whether an image message holds a part of a video: its format says so."""
+    return any(name in getattr(message, "format", "").lower() for name in VIDEO_FORMATS)
+
+
 def stamp_ns(message: Any) -> int:
-    """The header's stamp [ns]; 0 where the driver left it empty."""
-    stamp = message.header.stamp
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+    """The header's or Foxglove's stamp [ns]; 0 where the driver left it empty."""
+    stamp = message.header.stamp if hasattr(message, "header") else message.timestamp
+    seconds, parts = (("sec", "nanosec"), ("seconds", "nanos"))[hasattr(stamp, "seconds")]
+    return int(getattr(stamp, seconds)) * 1_000_000_000 + int(getattr(stamp, parts))
 
 
 def calibration(left: Any, right: Any, rectified: bool, path: Path) -> StereoCalibration:
@@ -104,11 +117,12 @@ def calibration(left: Any, right: Any, rectified: bool, path: Path) -> StereoCal
 def _eye(info: Any) -> dict[str, Any]:
     fields = {letter: matrix(info, letter) for letter in "KDRP"}
     size = {"width": float(info.width), "height": float(info.height)}
-    roi = info.roi
-    window = {
-        "roi": (roi.x_offset, roi.y_offset, roi.width, roi.height),
-        "binning": (info.binning_x, info.binning_y),
-    }
+    window = {}
+    if (roi := getattr(info, "roi", None)) is not None:
+        window = {
+            "roi": (roi.x_offset, roi.y_offset, roi.width, roi.height),
+            "binning": (info.binning_x, info.binning_y),
+        }
     return fields | size | window | {"model": info.distortion_model or "plumb_bob"}
 
 

@@ -9,6 +9,16 @@ from stereo_ore.errors import SourceError
 from stereo_ore.io.recordings.names import split_name
 
 COMPRESSED, DEPTH = "/compressed", "/compressedDepth"
+NUMBERED: tuple[tuple[str, str], ...] = (
+    ("infra1", "infra2"),
+    ("infrared1", "infrared2"),
+    ("infrared_1", "infrared_2"),
+    ("cam0", "cam1"),
+    ("cam_0", "cam_1"),
+    ("camera0", "camera1"),
+    ("camera_0", "camera_1"),
+)
+"""Parts of topics that tell the eyes by numbers, in small letters: RealSense's drivers and recorders, camera rigs."""
 
 
 def choose_topics(topics: Collection[str], wanted: tuple[str, str] | None, path: Path) -> tuple[str, str]:
@@ -38,25 +48,39 @@ def choose_topics(topics: Collection[str], wanted: tuple[str, str] | None, path:
     return pairs[0]
 
 
-def camera_info_topic(image_topic: str) -> str:
-    """Where ROS publishes the calibration of an image topic: beside it."""
-    return _plain(image_topic).rpartition("/")[0] + "/camera_info"
+def camera_info_topics(image_topic: str) -> tuple[str, ...]:
+    """Where the calibration of an image topic may be: beside it, beside the image that it is made of, in ``info``."""
+    parent = _plain(image_topic).rpartition("/")[0]
+    above = parent.rpartition("/")[0]
+    recorded = image_topic.partition("/image/data")[0] + "/info"
+    return tuple(f"{place}/camera_info" for place in (parent, above, recorded) if place.count("/") > 0)
 
 
 def is_rectified(image_topic: str) -> bool:
-    """ROS's convention: image_rect, image_rect_color against image_raw, image, image_mono."""
-    return "rect" in _plain(image_topic).rpartition("/")[2]
+    """ROS's convention: image_rect, image_rect_color, rect/image against image_raw, image, image_mono."""
+    parts = _plain(image_topic).split("/")
+    return "rect" in parts[-1] or "rect" in parts or "rectified" in parts
 
 
 def _pairs(topics: Collection[str]) -> list[tuple[str, str]]:
     sides: dict[str, dict[tuple[str, ...], str]] = {"left": {}, "right": {}}
     for topic in sorted(topics):
-        marks = [split_name(part) for part in topic.split("/")]
+        marks = [_split(part) for part in topic.split("/")]
         side = next((side for side, _ in marks if side), None)
         if side:
             sides[side][tuple(key for _, key in marks)] = topic
     return [(topic, sides["right"][key]) for key, topic in sides["left"].items() if key in sides["right"]]
 
 
+def _split(part: str) -> tuple[str | None, str]:
+    """Eye and rest of one part of a topic."""
+    for pair in NUMBERED:
+        if part.lower() in pair:
+            return ("left", "right")[pair.index(part.lower())], pair[0]
+    return split_name(part)
+
+
 def _plain(topic: str) -> str:
-    return topic.removesuffix(COMPRESSED)
+    for suffix in (COMPRESSED, "/video"):
+        topic = topic.removesuffix(suffix)
+    return topic
