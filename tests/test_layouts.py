@@ -139,7 +139,7 @@ def test_images_beside_each_other_pass(tmp_path: Path) -> None:
 
 def test_one_eye_s_folder_alone(tmp_path: Path) -> None:
     write(tmp_path, lambda n: f"left/{n}", lambda n: f"left/{n}")
-    with pytest.raises(SourceError, match="images of one eye only, such as 0.png"):
+    with pytest.raises(SourceError, match=r"images of one eye only, such as 0\.png"):
         open_source(tmp_path)
 
 

@@ -146,7 +146,7 @@ def _open(source: Path | None, watch: Path | None, camera: int | None, context: 
         case Path(), None, None:
             return Recording(limit_pixels(open_source(source), max_pixels))
         case None, Path(), None:
-            return FolderWatch(watch, max_pixels=max_pixels)
+            return FolderWatch(watch, max_pixels=max_pixels, eye_size=context.calibration.image_size)
         case None, None, int():
             return open_camera(camera, context.calibration.image_size)
     raise typer.BadParameter("give one of SOURCE, --watch and --camera")
