@@ -30,12 +30,12 @@ def access_units(images: Sequence[np.ndarray], codec: str = "libx264rgb", gop: i
 
 def write_svo2(path: Path, pairs: Sequence[tuple[np.ndarray, np.ndarray]], stamps: Sequence[int], gop: int = 1) -> Path:
     """An SVO2 file as its description has it: both eyes beside each other, a footer behind each access unit."""
-    from mcap.writer import Writer
+    from mcap.writer import CompressionType, Writer
 
     images = [np.hstack(pair) for pair in pairs]
     height, width = pairs[0][0].shape[:2]
     with path.open("wb") as file:
-        writer = Writer(file)
+        writer = Writer(file, compression=CompressionType.NONE)
         writer.start(profile="", library="test")
         channel = writer.register_channel("Camera_SN12345678/side_by_side", "", schema_id=0)
         for number, (unit, stamp) in enumerate(zip(access_units(images, gop=gop), stamps, strict=True)):

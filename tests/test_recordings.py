@@ -13,6 +13,7 @@ import pytest
 
 from stereo_ore.cli import launch
 from stereo_ore.errors import FrameError, SourceError
+from stereo_ore.io.calibration import ros
 from stereo_ore.io.recordings import BagOptions, Source, describe, open_source, open_two_files
 
 ROOT = Path(__file__).parents[1]
@@ -257,3 +258,18 @@ def test_copies_keep_their_order_of_time(shared_data: Path, tmp_path: Path) -> N
     os.utime(copy, ns=(0, 1_700_000_000_000_000_000))
     stamps = [open_source(copy).stamp(index).ns for index in range(6)]
     assert stamps == [1_700_000_000_000_000_000 - 33_000_000 * (5 - index) for index in range(6)]
+
+
+WINDOWS = {"b_roi": (0.190, -0.199, 0.958), "b_oak14raw": (0.190, -0.199, 0.958)}
+
+
+@pytest.mark.parametrize("name", WINDOWS)
+def test_21_bag_topics(name: str, shared_data: Path, run: Callable[..., Run]) -> None:
+    pytest.importorskip("rosbags")
+    if not hasattr(ros, "_windowed"):
+        pytest.skip("windows of sensors and 14 coefficients need the reader of camera_info that knows them")
+    folder = shared_data / "reports" / "21-bag-topics"
+    done = run(folder / name, "--site", folder / "site_noplane.yaml")
+    assert done.statuses == ["ok"], done.err
+    centroids = [ore["surface_centroid"]["camera"] for ore in done.records[0]["ores"]]
+    assert np.min(np.linalg.norm(np.array(centroids) - WINDOWS[name], axis=1)) < 0.03

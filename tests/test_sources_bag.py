@@ -3,6 +3,7 @@
 import contextlib
 import json
 import pickle
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -378,7 +379,9 @@ def test_twenty_frames_give_identical_records_from_every_lossless_form(forms: di
         command = ["stereo-ore", "run", recording, *options, "--out", tmp_path / name, "--no-report"]
         done = subprocess.run([str(part) for part in command], capture_output=True, text=True, timeout=200)
         assert done.returncode == 0, done.stderr
-        results[name] = (tmp_path / name / "frames.jsonl").read_bytes()
+        # Where a stamp is from differs; all the rest is the same.
+        text = (tmp_path / name / "frames.jsonl").read_bytes()
+        results[name] = re.sub(rb'"stamp_source":"[a-z ]+",', b"", text)
     records = [json.loads(line) for line in results["png"].splitlines()]
     assert [record["stamp_ns"] for record in records] == [START + n * PERIOD for n in range(20)]
     assert sum(record["counts"]["kept"] for record in records) > 1000

@@ -161,7 +161,8 @@ def _open(
             return Recording(recording), calibration_of(recording, calib, size)
         case None, Path(), None, Path():
             calibration = load(calib, image_size=size, recorded_size=first_size(watch))
-            return FolderWatch(watch, max_pixels=max_pixels), calibration
+            frames = FolderWatch(watch, max_pixels=max_pixels, eye_size=calibration.image_size)
+            return frames, calibration
         case None, None, int(), Path():
             calibration = load(calib, image_size=size)
             return open_camera(camera, calibration.image_size), calibration

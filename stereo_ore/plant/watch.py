@@ -22,7 +22,7 @@ from pathlib import Path
 
 from stereo_ore.config.models import MAX_PIXELS
 from stereo_ore.errors import FrameError, SourceError
-from stereo_ore.io.recordings import limit_pixels
+from stereo_ore.io.recordings import expect_eyes, limit_pixels
 from stereo_ore.io.recordings.folder import ImagePairs
 from stereo_ore.io.recordings.images import is_complete
 from stereo_ore.io.recordings.names import natural_key
@@ -52,16 +52,26 @@ class _Pending:
 
 
 class FolderWatch:
-    """Watches `folder`, which may be empty at first, in any layout of image files that `run` knows."""
+    """Watches `folder`, which may be empty at first, in any layout of image files that `run` knows.
+
+    `eye_size` (width, height) [px] is that of the calibration: an image of that size is no side-by-side one.
+    """
 
     def __init__(
-        self, folder: Path, *, poll_s: float = 0.2, patience_s: float = 10.0, max_pixels: int = MAX_PIXELS
+        self,
+        folder: Path,
+        *,
+        poll_s: float = 0.2,
+        patience_s: float = 10.0,
+        max_pixels: int = MAX_PIXELS,
+        eye_size: tuple[int, int] | None = None,
     ) -> None:
         if not folder.is_dir():
             raise SourceError("no such folder", file=folder, remedy="Make the folder that frames will be copied to")
         self.folder = folder
         self.name = str(folder)
         self._poll_s, self._patience_s, self._max_pixels = poll_s, patience_s, max_pixels
+        self._eye_size = eye_size
         self._pending: _Pending | None = None
         self._done: set[str] = set()
         self._prune_at = PRUNE_AT
@@ -180,7 +190,8 @@ class FolderWatch:
         return False
 
     def _frame(self, arrival: Arrival, index: int) -> LiveFrame:
-        arrival = replace(arrival, source=limit_pixels(arrival.source, self._max_pixels))
+        source = limit_pixels(arrival.source, self._max_pixels)
+        arrival = replace(arrival, source=expect_eyes(source, self._eye_size) if self._eye_size else source)
         seen_s = self._seen_s.get(arrival.name)
         arrived_ns = _changed_ns(arrival)
         if seen_s is not None:

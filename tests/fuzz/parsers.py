@@ -14,6 +14,8 @@ from stereo_ore.errors import StereoOreError
 from stereo_ore.io import calibration, clouds
 from stereo_ore.io.parameters import load_config
 from stereo_ore.io.recordings import open_source
+from stereo_ore.io.recordings.container import read_container
+from stereo_ore.io.recordings.frame_packing import packing_of
 from stereo_ore.io.recordings.images import read_image
 from stereo_ore.io.results import Results
 from stereo_ore.io.site import load_site
@@ -76,6 +78,11 @@ def read_source(path: Path) -> object:
     return source.description
 
 
+def read_packing(path: Path) -> object:
+    """Of an access unit."""
+    return packing_of(path.read_bytes())
+
+
 def read_records(path: Path) -> object:
     return Results(path.parent).records
 
@@ -115,6 +122,12 @@ PARSERS = {
     "rosbag1": Parser("recording.bag", read_source),
     "mcap": Parser("recording.mcap", read_source),
     "video": Parser("recording.avi", read_source),
+    "matroska": Parser("recording.mkv", read_container),
+    "mp4": Parser("recording.mp4", read_container),
+    "packing": Parser("unit", read_packing),
+    "stereo_jpeg": Parser("both.jpg", read_source),
+    "svo2": Parser("ride.svo2", read_source),
+    "foxglove": Parser("images.mcap", read_source),
     "background": Parser("empty.npz", background.load),
     "records": Parser("frames.jsonl", read_records),
     "part": Parser("frames.jsonl.part", read_part),

@@ -74,30 +74,28 @@ def _tiff(data: bytes) -> tuple[int, int] | None:
 
 
 def tiff_pages(data: bytes) -> int:
-    """Number of pictures in a TIFF, smaller copies and masks left out."""
+    """Number of pictures in a TIFF, smaller copies and masks left out; those before damage, where it is damaged."""
     pages, start, seen = 0, None, set[int]()
-    while len(seen) < MOST_PAGES:
-        directory = _directory(data, start)
-        if directory is None or directory.start in seen:
-            break
-        seen.add(directory.start)
-        pages += not _tags(data, directory).get(TIFF_SUBFILE, 0) & NO_PICTURE
-        start = directory.following
-        if start == 0:
-            break
+    try:
+        while start != 0 and (directory := _directory(data, start)) and directory.start not in seen:
+            seen.add(directory.start)
+            pages += not _tags(data, directory).get(TIFF_SUBFILE, 0) & NO_PICTURE
+            start = directory.following if len(seen) < MOST_PAGES else 0
+    except (struct.error, OverflowError):
+        pass
     return pages
 
 
 def tiff_tags(data: bytes, raw: Collection[int] = ()) -> dict[int, Any]:
     """First value of each whole-numbered tag in the first directory; of the tags in `raw` their bytes.
 
-    Raises
-    ------
-    struct.error
-        When the directory is cut off.
+    Empty where the directory is damaged.
     """
-    directory = _directory(data, None)
-    return _tags(data, directory, raw) if directory else {}
+    try:
+        directory = _directory(data, None)
+        return _tags(data, directory, raw) if directory else {}
+    except (struct.error, OverflowError):
+        return {}
 
 
 class _Directory(NamedTuple):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import struct
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -106,12 +105,9 @@ def is_stereo_file(path: Path) -> bool:
 
 def turn_of(data: bytes) -> int:
     """The turn that an image file asks viewers for, as Exif counts them; 1: none. Pixels are read as stored."""
-    try:
-        if data.startswith(_JPEG):
-            return jpeg.orientation(data)
-        return int(tiff_tags(data).get(jpeg.ORIENTATION, 1)) if data.startswith(_TIFF) else 1
-    except (struct.error, OverflowError):
-        return 1
+    if data.startswith(_JPEG):
+        return jpeg.orientation(data)
+    return int(tiff_tags(data).get(jpeg.ORIENTATION, 1)) if data.startswith(_TIFF) else 1
 
 
 def turn_words(turn: int) -> str:
@@ -209,20 +205,13 @@ def _check_complete(path: Path, data: bytes) -> None:
             file=path,
             remedy="Copy it again; was the disk full?",
         )
-    if data.startswith(_TIFF) and (pages := _pages(data)) > 1:
+    if data.startswith(_TIFF) and (pages := tiff_pages(data)) > 1:
         raise FrameError(
             f"holds {pages} pages: which of them is this frame's picture is not known",
             code="UNREADABLE_IMAGE",
             file=path,
             remedy="Write a file a picture, for example with tiffsplit",
         )
-
-
-def _pages(data: bytes) -> int:
-    try:
-        return tiff_pages(data)
-    except (struct.error, OverflowError):
-        return 0
 
 
 def _check_claim(path: Path, data: bytes, max_pixels: int) -> None:

@@ -40,11 +40,14 @@ class McapFile:
         self.faults: dict[str, str] = {}
         self._path = path
         self._file: IO[bytes] = path.open("rb")
-        self._reader: McapReader = make_reader(self._file)
-        summary = self._reader.get_summary()
-        if summary is None:
+        try:
+            self._reader: McapReader = make_reader(self._file)
+            summary = self._reader.get_summary()
+            if summary is None:
+                raise ValueError("it has no summary at its end")
+        except BaseException:
             self.close()
-            raise ValueError("it has no summary at its end")
+            raise
         self._schemas = summary.schemas
         self.channels = summary.channels
         self._decoders: dict[int, Decode | None] = {}

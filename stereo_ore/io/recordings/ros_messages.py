@@ -123,7 +123,25 @@ def _eye(info: Any) -> dict[str, Any]:
             "roi": (roi.x_offset, roi.y_offset, roi.width, roi.height),
             "binning": (info.binning_x, info.binning_y),
         }
-    return fields | size | window | {"model": info.distortion_model or "plumb_bob"}
+    return _resolved({**fields, **size, **window, "model": info.distortion_model or "plumb_bob"})
+
+
+def _resolved(eye: dict[str, Any]) -> dict[str, Any]:
+    """The eye with the size of the whole sensor, where a driver gives the window's although it has an offset.
+
+    K is then the sensor's or the window's: whichever has its principal point in the image. Both or neither stay as
+    they are, to be refused.
+    """
+    x, y, width, height = eye.get("roi", (0, 0, 0, 0))
+    if not (x or y) or (eye["width"], eye["height"]) != (width, height):
+        return eye
+    cx, cy = eye["K"][2], eye["K"][5]
+    of_sensor, of_window = 0 < cx - x < width and 0 < cy - y < height, 0 < cx < width and 0 < cy < height
+    if of_sensor and not of_window:
+        return {**eye, "width": float(x + width), "height": float(y + height)}
+    if of_window and not of_sensor:
+        return {**eye, "roi": (0, 0, 0, 0)}
+    return eye
 
 
 def matrix(info: Any, letter: str) -> F64:
