@@ -33,7 +33,11 @@ PLY_FIELDS = (
     *((name, "u1", "uchar") for name in ("red", "green", "blue")),
     ("ore_id", "<i4", "int"),
     ("score", "<f4", "float"),
+    ("scalar_ore_id", "<f4", "float"),
+    ("scalar_score", "<f4", "float"),
+    ("quality", "<f4", "float"),
 )
+"""Columns of a cloud. The last three repeat ore_id and score under the names that CloudCompare and MeshLab take."""
 
 
 @dataclass(frozen=True)
@@ -65,12 +69,13 @@ class FrameFiles:
 
 
 def cloud_ply(cloud: PointCloud, voxels: VoxelCloud, filtered: FilterResult, ore_id: I32) -> bytes:
-    """Binary PLY of the kept voxels: x y z [m], red green blue, ore_id (0 = screen and rest), score."""
+    """Binary PLY of the kept voxels: x y z [m], red green blue, ore_id (0 = screen and rest), score, and both again."""
     keep = filtered.keep
     table = np.zeros(int(keep.sum()), [(name, kind) for name, kind, _ in PLY_FIELDS])
     table["x"], table["y"], table["z"] = voxels.xyz[keep].T
     table["blue"], table["green"], table["red"] = voxel_colour(cloud, voxels)[keep].T
-    table["ore_id"], table["score"] = ore_id[keep], filtered.score[keep]
+    table["ore_id"] = table["scalar_ore_id"] = ore_id[keep]
+    table["score"] = table["scalar_score"] = table["quality"] = filtered.score[keep]
     properties = [f"property {kind} {name}" for name, _, kind in PLY_FIELDS]
     header = ["ply", "format binary_little_endian 1.0", "comment stereo_ore: metres, rectified left camera"]
     header += [f"element vertex {len(table)}", *properties, "end_header", ""]
