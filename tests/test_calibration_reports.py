@@ -1,6 +1,8 @@
 """Calibration files of real tools and real people: each kind, with its right value, from ../shared/data."""
 
 import gzip
+import logging
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -208,6 +210,54 @@ def test_a_lens_entry_that_is_not_understood_is_never_dropped(name: str, tmp_pat
     path = write_opencv(example_rig(), tmp_path / "camera.yml", changes={name: np.array([[0.1, 0.2, 0.3]])})
     with pytest.raises(CalibrationError, match=name):
         load(path)
+
+
+CORPUS = Path(__file__).parent / "fuzz" / "corpus"
+LENS_KEYS = ("lens_k4", "distortion_extra", "D_LEFT_FE2", "radial_coefficients", "kannala", "s5", "xi")
+LINES = {
+    "native": ("raw.yaml", "left:\n", "left:\n  {key}: {value}\n"),
+    "zed": ("SN1.conf", "[LEFT_CAM_HD]\n", "[LEFT_CAM_HD]\n{key}=0.25\n"),
+    "opencv": ("camera.json", "{", '{"{key}": {value},'),
+    "ros": ("left.yaml", "distortion_model:", "{key}: {value}\ndistortion_model:"),
+    "kalibr": ("camchain.yaml", "cam0:\n", "cam0:\n  {key}: {value}\n"),
+    "middlebury": ("calib.txt", "cam0=", "{key}={value}\ncam0="),
+    "orbslam": ("EuRoC.yaml", "LEFT.height", "LEFT.{key}: {value}\nLEFT.height"),
+    "simplestereo": ("simplestereo.json", "{", '{"{key}": {value},'),
+    "depthai": ("depthai_calib.json", '"cameraType"', '"{key}": {value}, "cameraType"'),
+    "calibrating": ("calibrating.yaml", "cam1:\n", "cam1:\n  {key}: {value}\n"),
+    "camera_array": ("camera_array.toml", "[cameras.1]\n", "[cameras.1]\n{key} = {value}\n"),
+    "mrcal": ("left.cameramodel", "{", "{ '{key}': {value},"),
+    "pycamcalib": ("camera_1_parameters.json", "{", '{"{key}": {value},'),
+}
+"""Of each reader a file, and where an entry is put in."""
+
+
+@pytest.mark.parametrize("reader", LINES)
+@pytest.mark.parametrize("key", LENS_KEYS)
+def test_no_reader_drops_one_unknown_lens_entry(
+    reader: str, key: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A file with one more entry that looks like distortion: an error or a line that names it, or another rig."""
+    name, old, new = LINES[reader]
+    for file in (CORPUS.parent / "beside").iterdir():
+        shutil.copyfile(file, tmp_path / file.name)
+    shutil.copyfile(CORPUS.parent / "right.yaml", tmp_path / "right.yaml")
+    text = (CORPUS / reader / name).read_text()
+    assert old in text
+    (tmp_path / name).write_text(text)
+    plain = load(tmp_path / name)
+    (tmp_path / name).write_text(
+        text.replace(old, new.replace("{key}", key).replace("{value}", "[0.1, -0.2, 0.3, 0.4]"), 1)
+    )
+    caplog.clear()
+    try:
+        with caplog.at_level(logging.WARNING, "stereo_ore"):
+            read = load(tmp_path / name)
+    except CalibrationError as refusal:
+        told = str(refusal)
+    else:
+        told = caplog.text if same(plain, read) else key
+    assert key.lower() in told.lower()
 
 
 def test_two_sets_of_coefficients_that_differ_are_refused(tmp_path: Path) -> None:

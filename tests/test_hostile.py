@@ -428,7 +428,21 @@ def test_a_video_that_claims_more_pictures_than_it_can_hold(tmp_path: Path, scen
 # --- calibrations of every format
 
 
-@pytest.mark.parametrize("name", ["native", "zed", "opencv", "ros", "kalibr", "middlebury"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "native",
+        "zed",
+        "opencv",
+        "ros",
+        "kalibr",
+        "middlebury",
+        "simplestereo",
+        "calibrating",
+        "camera_array",
+        "orbslam",
+    ],
+)
 @pytest.mark.parametrize("damage", ["half", "no numbers", "huge numbers", "zeros", "NaN"])
 def test_damaged_calibrations(name: str, damage: str, recording: Path, tmp_path: Path, command: Any) -> None:
     folder = FUZZED / name

@@ -20,12 +20,16 @@ from stereo_ore.types import I32, U8, FrameResult, PointCloud, VoxelCloud
 NPZ_LEVEL = 1
 """Of zlib: as small as the usual 6 within a few per cent, in half the time."""
 
-PLY_FIELDS = (
-    *((name, "<f4", "float") for name in "xyz"),
-    *((name, "u1", "uchar") for name in ("red", "green", "blue")),
-    ("ore_id", "<i4", "int"),
-    ("score", "<f4", "float"),
+CLOUD_FIELDS = (
+    *((name, "<f4") for name in "xyz"),
+    *((name, "u1") for name in ("red", "green", "blue")),
+    ("ore_id", "<i4"),
+    ("score", "<f4"),
 )
+OTHER_NAMES = {"scalar_ore_id": "ore_id", "scalar_score": "score", "quality": "score"}
+"""Columns that CloudCompare and MeshLab take by these names only."""
+
+PLY_TYPES = {"<f4": "float", "u1": "uchar", "<i4": "int"}
 
 
 @dataclass(frozen=True)
@@ -60,7 +64,7 @@ def cloud_table(result: FrameResult) -> npt.NDArray[np.void]:
 
     Empty for a frame that did not reach the filter.
     """
-    fields = [(name, kind) for name, kind, _ in PLY_FIELDS]
+    fields = list(CLOUD_FIELDS)
     cloud, voxels, filtered = result.cloud, result.voxels, result.filtered
     if cloud is None or voxels is None or filtered is None:
         return np.zeros(0, fields)
@@ -73,11 +77,19 @@ def cloud_table(result: FrameResult) -> npt.NDArray[np.void]:
 
 
 def cloud_ply(table: npt.NDArray[np.void]) -> bytes:
-    """Binary PLY of the kept voxels."""
-    properties = [f"property {kind} {name}" for name, _, kind in PLY_FIELDS]
-    header = ["ply", "format binary_little_endian 1.0", "comment stereo_ore: metres, rectified left camera"]
+    """Binary PLY of a `cloud_table`, with ore_id and score once more as `OTHER_NAMES`."""
+    fields = [*CLOUD_FIELDS, *((name, "<f4") for name in OTHER_NAMES)]
+    whole = np.empty(len(table), fields)
+    for name, _ in fields:
+        whole[name] = table[OTHER_NAMES.get(name, name)]
+    properties = [f"property {PLY_TYPES[kind]} {name}" for name, kind in fields]
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        "comment stereo_ore: metres, rectified left camera",
+    ]
     header += [f"element vertex {len(table)}", *properties, "end_header", ""]
-    return "\n".join(header).encode() + table.tobytes()
+    return "\n".join(header).encode() + whole.tobytes()
 
 
 def voxel_colour(cloud: PointCloud, voxels: VoxelCloud) -> U8:

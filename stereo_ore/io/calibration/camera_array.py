@@ -78,6 +78,8 @@ def _cameras(path: Path, text: str) -> dict[int, dict[str, Any]]:
     entries = (
         inner if isinstance(inner, dict) else {k.removeprefix("cam_"): v for k, v in data.items() if k != "metadata"}
     )
+    unread = {k: v for k, v in data.items() if k not in ("cameras", "metadata") and not k.startswith("cam_")}
+    tell_unread(path, unread)
     found = {int(k): v for k, v in entries.items() if re.fullmatch(r"\d{1,6}", k) and isinstance(v, dict)}
     if not found:
         raise CalibrationError("has no section of a camera", file=path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from stereo_ore.errors import CalibrationError
-from stereo_ore.io.calibration.formats import Hints, numbers, one_size, parse_json, raw_only, without_tail
+from stereo_ore.io.calibration.formats import Hints, numbers, one_size, parse_json, raw_only, tell_unread, without_tail
 from stereo_ore.io.calibration.geometry import make_calibration
 from stereo_ore.transforms import inverse, nearest_rotation, rotation_fault
 from stereo_ore.types import F64, CameraModel, StereoCalibration
@@ -19,6 +20,14 @@ LENGTHS_M = (1.0, 0.01, 0.001, 0.0254, 0.3048)
 
 ROUNDED = 1e-5
 """The device keeps 32 bits of each number."""
+
+_CAMERA = (
+    "cameraType", "distortionCoeff", "extrinsics", "height", "intrinsicMatrix", "lensPosition", "specHfovDeg", "width"
+)  # fmt: skip
+_TOP = re.compile(
+    r"cameraData|stereoRectificationData|stereoUseSpecTranslation|stereoEnableDistortionCorrection|imu\w*|housing\w*|"
+    r"(batch|board|device|product|hardware|version|miscellaneous|vertical)\w*"
+)
 
 Sockets = dict[int, dict[str, Any]]
 
@@ -38,6 +47,7 @@ def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
     """
     data = parse_json(path, text)
     raw_only(path, hints)
+    tell_unread(path, {key: value for key, value in data.items() if not _TOP.fullmatch(key)})
     sockets = _sockets(path, data.get("cameraData"))
     left, right = hints.eyes or _pair(path, data, sockets)
     for socket in (left, right):
@@ -113,6 +123,7 @@ def _link(path: Path, socket: int, camera: dict[str, Any]) -> Iterator[tuple[int
 
 def _camera(path: Path, socket: int, camera: dict[str, Any]) -> CameraModel:
     key = f"cameraData[{socket}]"
+    tell_unread(path, {name: value for name, value in camera.items() if name not in _CAMERA}, f"{key}: ")
     K = numbers(path, f"{key}.intrinsicMatrix", camera.get("intrinsicMatrix"), 9).reshape(3, 3)
     D = numbers(path, f"{key}.distortionCoeff", camera.get("distortionCoeff"))
     kind = camera.get("cameraType", 0)

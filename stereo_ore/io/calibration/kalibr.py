@@ -81,6 +81,7 @@ def _cameras(path: Path, data: dict[str, Any]) -> dict[int, dict[str, Any]]:
     for index, camera in chain.items():
         if not isinstance(camera, dict):
             raise CalibrationError("must be a mapping", file=path, key=f"cam{index}")
+    tell_unread(path, {key: value for key, value in data.items() if not re.fullmatch(r"cam\d{1,6}", str(key))})
     return dict(sorted(chain.items()))
 
 

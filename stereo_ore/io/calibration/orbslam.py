@@ -19,6 +19,13 @@ from stereo_ore.types import CameraModel, StereoCalibration
 
 log = logging.getLogger(__name__)
 
+_KNOWN = re.compile(
+    r"(LEFT|RIGHT)\.(K|D|R|P|width|height)|Camera[12]\..*|Camera\.(type|fx|fy|cx|cy|bf|bFishEye|width|height|newWidth|"
+    r"newHeight|fps|RGB|imageScale|nFeatures)|(ORBextractor|Viewer|IMU|Stereo|System|Atlas|loopClosing)\..*|"
+    r"ThDepth|DepthMapFactor|File\..*"
+)
+"""Entries that are read, or that mean nothing for the recorded images."""
+
 _COEFFICIENTS = {
     "PinHole": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
     "KannalaBrandt8": ("k1", "k2", "k3", "k4"),
@@ -39,14 +46,13 @@ def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
         When a key is missing, or the lens model is unknown.
     """
     data = parse_storage(path, text)
+    tell_unread(path, {key: value for key, value in data.items() if not _KNOWN.fullmatch(key)})
     return _version_2(path, data, hints) if "LEFT.K" in data else _version_3(path, data, hints)
 
 
 def _version_2(path: Path, data: dict[str, Any], hints: Hints) -> StereoCalibration:
     eyes = []
     for side in ("LEFT", "RIGHT"):
-        unread = {key: v for key, v in data.items() if re.fullmatch(rf"{side}\.(?!K|D|R|P|width|height).*", key)}
-        tell_unread(path, unread)
         eye: dict[str, Any] = {
             letter: numbers(path, f"{side}.{letter}", data.get(f"{side}.{letter}"), count)
             for letter, count in (("K", 9), ("D", None), ("R", 9), ("P", 12))

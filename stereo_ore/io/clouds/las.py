@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,12 @@ FINEST = 1e-5
 """Scale of the coordinates in the file's unit, where 32 bits allow it; laspy's own 0.01 would round to centimetres."""
 
 RGB = ("red", "green", "blue")
+HEADER_BYTES, VLR_BYTES, EVLR_BYTES = 375, 54, 60
+"""Of LAS 1.4: its header, and the heads of its variable-length records before and behind the points."""
+
+COMPRESSED, MOST_TIMES = 0x80, 1000
+"""Flag of LAZ in the point format, and how many times it may make points smaller."""
+
 OWN = ("X", "Y", "Z")
 
 
@@ -41,17 +48,9 @@ def read(path: Path) -> Records:
         When the file is damaged.
     """
     laspy = _laspy()
-    with path.open("rb") as file:
-        if file.read(4) != b"LASF":
-            raise CloudError("does not begin with 'LASF'", file=path, remedy="Is it a LAS or LAZ file?")
+    _check_header(path)
     try:
-        with laspy.open(path) as reader:
-            if path.suffix.lower() == ".las":
-                size = reader.header.point_count * reader.header.point_format.size
-                require_bytes(size, path.stat().st_size, path)
-            cloud = reader.read()
-    except CloudError:
-        raise
+        cloud = laspy.read(path)
     except Exception as fault:
         text = " ".join(str(fault).split())[:200] or type(fault).__name__
         raise CloudError(f"is not a whole LAS file: {text}", file=path, remedy="Export it again") from None
@@ -60,6 +59,23 @@ def read(path: Path) -> Records:
         if name not in OWN and (column := np.asarray(cloud[name])).ndim == 1 and (column.any() or name in RGB):
             columns[name] = column
     return require_xyz(from_columns(_eight_bits(columns)), path)
+
+
+def _check_header(path: Path) -> None:
+    """Refuse a header that claims more records or points than the file can hold: laspy would look for them all."""
+    with path.open("rb") as file:
+        head = file.read(HEADER_BYTES)
+    if head[:4] != b"LASF" or len(head) < 227:
+        raise CloudError("does not begin with a LAS header", file=path, remedy="Is it a LAS or LAZ file?")
+    size, (header, start, records, kind, length, points) = path.stat().st_size, struct.unpack_from("<HIIBHI", head, 94)
+    late, start_late = 0, size
+    if header >= HEADER_BYTES and len(head) == HEADER_BYTES:
+        start_late, late, points = struct.unpack_from("<QIQ", head, 235)
+    require_bytes(records * VLR_BYTES, min(start, size) - header, path, "records")
+    require_bytes(late * EVLR_BYTES, size - start_late, path, "records")
+    if path.suffix.lower() == ".las" and not kind & COMPRESSED:
+        require_bytes(points * length, size - start, path)
+    require_bytes(points * length // MOST_TIMES, size - start, path)
 
 
 def _eight_bits(columns: Columns) -> Columns:
