@@ -14,6 +14,9 @@ SUBPIXEL = 16
 NONE = -SUBPIXEL
 """Any negative disparity of a crop means none."""
 
+OWN_CHECK_OFF = 1_000_000
+"""OpenCV compares left with right by whole pixels; -1, which is said to switch that off, acts as 1 px."""
+
 MODES = {
     "sgbm": cv2.STEREO_SGBM_MODE_SGBM,
     "3way": cv2.STEREO_SGBM_MODE_SGBM_3WAY,
@@ -28,11 +31,13 @@ class Crop:
 
     Region column j is column j + n of both. The right image is shifted by the smallest disparity, so that the search
     begins at zero and no column of the region is lost to the border. Disparities of a crop are counted from there.
+    `image_width` is that of the whole images.
     """
 
     left: U8
     right: U8
     region: Region
+    image_width: int
 
     @property
     def inner(self) -> U8:
@@ -46,9 +51,16 @@ class Crop:
         n = self.region.num_disparities
         return np.arange(n, self.left.shape[1] - n, dtype=np.float32)
 
+    @property
+    def right_columns(self) -> tuple[int, int]:
+        """First and last (exclusive) crop column that holds the right image itself and may match the region."""
+        region, width = self.region, self.right.shape[1] - self.region.num_disparities
+        start = region.num_disparities + region.min_disparity - region.x0
+        return min(max(start, 0), width - 1), min(max(start + self.image_width, 1), width)
+
     def rows(self, rows: slice) -> Crop:
         """Some rows of the crop; the region is still the whole one."""
-        return Crop(self.left[rows], self.right[rows], self.region)
+        return Crop(self.left[rows], self.right[rows], self.region, self.image_width)
 
 
 def crop(left: U8, right: U8, region: Region) -> Crop:
@@ -56,7 +68,8 @@ def crop(left: U8, right: U8, region: Region) -> Crop:
     n, shift = region.num_disparities, region.min_disparity
     rows = slice(region.y0, region.y1)
     start, stop = region.x0 - n, region.x1 + n
-    return Crop(_columns(left[rows], start, stop), _columns(right[rows], start - shift, stop - shift), region)
+    lefts, rights = _columns(left[rows], start, stop), _columns(right[rows], start - shift, stop - shift)
+    return Crop(lefts, rights, region, left.shape[1])
 
 
 def match_left(images: Crop, config: MatchingConfig) -> I16:
@@ -69,18 +82,24 @@ def match_left(images: Crop, config: MatchingConfig) -> I16:
 
 
 def match_right(images: Crop, config: MatchingConfig) -> I16:
-    """Disparity of the right image's pixels, (h / 2, w + n) int16 [px / 16], negative where none was found.
+    """Disparity of the right image's pixels, (h, w + n) int16 [px / 16], negative where none was found.
 
-    Column j is column j of the crop, and matches its left column j + disparity. Rows are averaged by twos: half the
-    time, and a witness that errs in other places than the left match does.
+    Column j is column j of the crop, and matches its left column j + disparity. Only columns of the image itself are
+    matched: those beside it repeat its rim.
     """
     n = images.region.num_disparities
-    fixed = _matcher(config, 1 - n, n).compute(_half_rows(images.right), _half_rows(images.left))
-    return np.negative(fixed[:, : images.right.shape[1] - n], dtype=np.int16)
+    first, last = images.right_columns
+    wide = slice(first, last + n)
+    fixed = _matcher(config, 1 - n, n).compute(
+        np.ascontiguousarray(images.right[:, wide]), np.ascontiguousarray(images.left[:, wide])
+    )
+    found = np.full((len(fixed), images.right.shape[1] - n), NONE, np.int16)
+    np.negative(fixed[:, : last - first], out=found[:, first:last])
+    return found
 
 
 def drop_speckles(fixed: I16, size: int, step_px: float) -> Mask:
-    """True where a disparity [px / 16] belongs to a connected patch of at least `size` pixels."""
+    """True where a disparity [px / 16] belongs to a connected patch of more than `size` pixels."""
     if size == 0:
         return np.asarray(fixed >= 0)
     kept = fixed.copy()
@@ -91,11 +110,6 @@ def drop_speckles(fixed: I16, size: int, step_px: float) -> Mask:
 def to_px(fixed: I16) -> F32:
     """Sixteenths as pixels."""
     return np.multiply(fixed, np.float32(1 / SUBPIXEL), dtype=np.float32)
-
-
-def _half_rows(image: U8) -> U8:
-    height, width = image.shape
-    return np.asarray(cv2.resize(image, (width, (height + 1) // 2), interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def _columns(image: U8, start: int, stop: int) -> U8:
@@ -114,7 +128,7 @@ def _matcher(config: MatchingConfig, lowest: int, count: int) -> cv2.StereoSGBM:
         blockSize=config.block_size,
         P1=config.p1 * area,
         P2=config.p2 * area,
-        disp12MaxDiff=-1,
+        disp12MaxDiff=OWN_CHECK_OFF,
         preFilterCap=config.pre_filter_cap,
         uniquenessRatio=config.uniqueness,
         speckleWindowSize=0,
