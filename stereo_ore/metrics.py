@@ -142,20 +142,20 @@ def surface_distance_and_angle(point: F64, direction: F64, surface: F64, neighbo
     return float(distance.min()), float(np.arccos(np.clip(-direction @ normal, -1, 1)))
 
 
-def area_under_roc(score: npt.NDArray[np.floating[Any]], positive: Mask) -> float:
-    """Chance that a positive one of (N,) scores above a negative one, ties counting half; NaN where one kind lacks."""
+def area_under_roc(score: npt.NDArray[np.floating[Any]], positive: Mask) -> float | None:
+    """Chance that a positive one of (N,) scores above a negative one, ties counting half; None where one kind lacks."""
     values, rank, count = np.unique(score, return_inverse=True, return_counts=True)
     hits = np.bincount(rank, positive, len(values))
     misses = count - hits
     below = np.cumsum(misses) - misses / 2
     pairs = float(hits.sum() * misses.sum())
-    return float((hits * below).sum()) / pairs if pairs else float("nan")
+    return float((hits * below).sum()) / pairs if pairs else None
 
 
-def reliability(said: npt.NDArray[np.floating[Any]], true: Mask) -> tuple[list[float], list[float]]:
-    """Mean probability said, and share that is true, of (N,) in each tenth of the probability; NaN in empty ones."""
+def reliability(said: npt.NDArray[np.floating[Any]], true: Mask) -> tuple[list[float | None], list[float | None]]:
+    """Mean probability said, and share that is true, of (N,) in each tenth of the probability; None in empty ones."""
     tenth = np.minimum((10 * said).astype(int), 9)
     count = np.bincount(tenth, minlength=10)
-    with np.errstate(invalid="ignore"):
-        means = [np.bincount(tenth, x, 10) / count for x in (said, true)]
-    return means[0].tolist(), means[1].tolist()
+    means = (np.bincount(tenth, x, 10) / np.maximum(count, 1) for x in (said, true))
+    first, second = ([float(x) if n else None for x, n in zip(mean, count, strict=True)] for mean in means)
+    return first, second

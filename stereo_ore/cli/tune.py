@@ -152,7 +152,7 @@ def _train_confidence(_kind: str, _seeds: range, scenes: list[Path]) -> str:
     examples = list(confidence.views(sets, MatchingConfig()))
     network, quality = confidence.train(examples)
     for each in quality:
-        log.info("%s left out: area under ROC %.3f", each.set, each.auc)
+        log.info("%s left out: area under ROC %s", each.set, each.auc and round(each.auc, 3))
     return confidence.to_json(network, quality, examples, seed=0)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
@@ -31,11 +31,13 @@ class MatchingConfig(StageConfig):
     """Semi-global matching (OpenCV StereoSGBM) and what is done to its disparities."""
 
     mode: Literal["sgbm", "3way", "hh", "hh4"] = param("3way", "path directions of SGBM")
-    block_size: int = param(3, "side of the matching window, odd", "px", ge=1, le=15)
+    block_size: Annotated[int, Field(ge=1, le=15)] | Literal["auto"] = param(
+        "auto", "side of the matching window, odd; auto: 3, or 5 where the image is noisy", "px"
+    )
     p1: int = param(8, "penalty of a one-level disparity step, times block_size²", ge=0)
     p2: int = param(32, "penalty of a larger step, more than p1, times block_size²", ge=1)
     uniqueness: int = param(0, "margin by which the best cost must win", "%", ge=0, le=50)
-    pre_filter_cap: int = param(31, "truncation of the prefiltered gradient, odd", "grey levels", ge=15, le=63)
+    pre_filter_cap: int = param(21, "truncation of the prefiltered gradient, odd", "grey levels", ge=15, le=63)
     min_disparity: int | None = param(None, "smallest disparity searched; null: 0, or from the working volume", "px")
     num_disparities: int | None = param(
         None, "disparities searched; null: from the working volume, or a fifth of the image width", "px", ge=16
@@ -49,7 +51,7 @@ class MatchingConfig(StageConfig):
     speckle_size: int = param(40, "connected disparities, this many or fewer, are dropped (0: off)", "px", ge=0)
     speckle_range: float = param(1.0, "step that separates them", "px", gt=0)
     even_light: bool = param(
-        True, "match locally normalised images where a small copy shows that more of it agrees left and right so"
+        True, "make the eyes' brightness alike, or match normalised images, where more of a small copy agrees so"
     )
     fuse: int = param(1, "frames of a still scene, from each one on, that are measured as one", ge=1, le=64)
     min_texture: float = param(
@@ -62,9 +64,9 @@ class MatchingConfig(StageConfig):
 
     @field_validator("block_size", "pre_filter_cap")
     @classmethod
-    def _odd(cls, value: int) -> int:
+    def _odd(cls, value: int | str) -> int | str:
         """Refuse what OpenCV would take for the next odd number."""
-        if value % 2 == 0:
+        if isinstance(value, int) and value % 2 == 0:
             raise ValueError(f"must be odd; OpenCV would take {value + 1}")
         return value
 

@@ -48,7 +48,7 @@ def match_both(images: Crop, config: MatchingConfig, compared: Crop | None = Non
     compared : Crop or None
         What is matched in their place, such as the same with normalised contrast, which has texture everywhere.
     """
-    compared = compared or images
+    compared, config = compared or images, sgbm.with_block(config, images)
     left, right = sgbm.match_left(compared, config), sgbm.match_right(compared, config)
     inner, limit = images.inner, int(config.lr_max_diff * sgbm.SUBPIXEL)
     difference, agreed, texture = np.empty_like(left), np.empty_like(left), np.empty(left.shape, np.float32)

@@ -1,8 +1,8 @@
-"""Eyes that see the scene in different light: local normalisation, where a small copy shows that it pays."""
+"""Eyes that see the scene in different light: like brightness or local normalisation, where a small copy gains."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -17,11 +17,22 @@ from stereo_ore.types import F32, U8, Region
 COARSE_WIDTH_PX = 240
 """Largest width to which images are reduced for a first look; by two at least."""
 
-COARSE = {"mode": "3way", "uniqueness": 10, "lr_max_diff": 1.0, "speckle_size": 20, "speckle_range": 1.0}
+COARSE = {
+    "mode": "3way",
+    "block_size": 3,
+    "uniqueness": 10,
+    "lr_max_diff": 1.0,
+    "speckle_size": 20,
+    "speckle_range": 1.0,
+}
 """A noisy disparity of the small copy would widen the range, so doubt decides against it; no lump is a speckle."""
 
-WORTH = 0.01
-"""Share of the pixels that must agree in addition: it costs one point of bad pixels or more where light is the same."""
+ALIKE_LOSS, EVEN_GAIN = 0.01, 0.018
+"""Share of the pixels that may agree less with like brightness, which hardly ever harms; and that must agree in
+addition for normalised images to be matched, which cost a point of bad pixels or more where light is the same."""
+
+UNLIKE = 0.5
+"""Mean difference of the eyes' brightness [grey levels] from which on one is given the other's."""
 
 SIGMA_PX, NOISE, CONTRAST, MIDDLE = 7.0, 4.0, 42.0, 128.0
 """Standard deviation of the window; grey levels added to the contrast in it, that of noise; grey levels given to one
@@ -33,29 +44,59 @@ def coarse_scale(width: int) -> int:
     return max(-(-width // COARSE_WIDTH_PX), 2)
 
 
-def first_look(small: Crop, config: MatchingConfig) -> tuple[Agreement, bool]:
-    """What both directions find on a small copy, and whether normalised images are needed for that."""
+@dataclass(frozen=True)
+class Look:
+    """What a small copy shows: what both directions find on it, and in which of its images.
+
+    `like` is whether the right eye's brightness is to be made the left's, `even` whether to match normalised images.
+    """
+
+    found: Agreement
+    like: bool
+    even: bool
+
+
+def first_look(small: Crop, config: MatchingConfig) -> Look:
+    """Match a small copy as it is, with like brightness and normalised, and choose among these."""
     quick = config.model_copy(update=COARSE)
-    plain = consistency.match_both(small, quick)
+    best = Look(consistency.match_both(small, quick), like=False, even=False)
     if not config.even_light:
-        return plain, False
+        return best
+    alike = with_like_brightness(small)
+    if alike is not small:
+        found = consistency.match_both(alike, quick)
+        kept = found.valid.mean() - best.found.valid.mean() >= -ALIKE_LOSS
+        best = Look(found, like=True, even=False) if kept else best
     even = consistency.match_both(small, quick, normalised(small))
-    pays = bool(even.valid.mean() - plain.valid.mean() > WORTH)
-    return (even if pays else plain), pays
+    pays = even.valid.mean() - best.found.valid.mean() > EVEN_GAIN
+    return replace(best, found=even, even=True) if pays else best
 
 
-def evened(images: Crop, config: MatchingConfig) -> Crop:
-    """The images to be matched: normalised where more of a small copy is matched so, else as they are."""
-    if not config.even_light:
-        return images
+def evened(images: Crop, config: MatchingConfig) -> tuple[Crop, Crop]:
+    """The images with like brightness, and those to be matched, as far as a small copy shows that it pays."""
     scale = coarse_scale(images.left.shape[1])
-    left, right = reduced(images.left, scale), reduced(images.right, scale)
-    n = images.region.num_disparities
-    if not left.size or n // scale == 0:
+    n, (height, width) = images.region.num_disparities // scale, (side // scale for side in images.left.shape)
+    if not config.even_light or min(n, height, width - 2 * n) < 1:
+        return images, images
+    inner = Region(n, 0, width - n, height, 0, round_up(n + 1))
+    look = first_look(sgbm.crop(reduced(images.left, scale), reduced(images.right, scale), inner), config)
+    alike = with_like_brightness(images) if look.like else images
+    return alike, normalised(images) if look.even else alike
+
+
+def with_like_brightness(images: Crop) -> Crop:
+    """The right image with the left one's histogram; the same images where theirs are alike already.
+
+    A monotone map of brightness, that of the distributions, makes up for exposure, gain, offset and gamma.
+    """
+    first, last = images.right_columns
+    own, other = (np.bincount(x.ravel(), minlength=256) for x in (images.right[:, first:last], images.inner))
+    shares = [np.cumsum(count) / count.sum() for count in (own, other)]
+    levels = np.arange(256)
+    wanted = np.interp(shares[0], shares[1], levels)
+    if float(np.abs(wanted - levels) @ own) <= UNLIKE * own.sum():
         return images
-    height, width = left.shape
-    inner = Region(n // scale, 0, max(width - n // scale, n // scale + 1), height, 0, round_up(n // scale + 1))
-    return normalised(images) if first_look(sgbm.crop(left, right, inner), config)[1] else images
+    return replace(images, right=np.asarray(cv2.LUT(images.right, np.rint(wanted).astype(np.uint8)), np.uint8))
 
 
 def normalised(images: Crop) -> Crop:
@@ -79,7 +120,5 @@ def _blur(image: F32) -> F32:
 def reduced(image: U8, scale: int) -> U8:
     """A smaller copy, by means over squares."""
     height, width = image.shape[0] // scale, image.shape[1] // scale
-    if not height or not width:
-        return np.empty((0, 0), np.uint8)
     part = image[: height * scale, : width * scale]
     return np.asarray(cv2.resize(part, (width, height), interpolation=cv2.INTER_AREA), np.uint8)

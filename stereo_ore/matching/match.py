@@ -34,8 +34,8 @@ def match(pair: RectifiedPair, region: Region, config: MatchingConfig) -> Dispar
         Full-image values [px], the calibration's correction added, NaN outside the region and where nothing reliable
         was found; the probability that each is right; cues of each pixel of the region; counts of what each step left.
     """
-    images = sgbm.crop(grey(pair.left), grey(pair.right), region)
-    found = consistency.match_both(images, config, light.evened(images, config))
+    images, compared = light.evened(sgbm.crop(grey(pair.left), grey(pair.right), region), config)
+    found = consistency.match_both(images, config, compared)
     measured = _measure(images, found)
     matched = found.left >= 0
     textured = matched & (found.texture >= np.float32(config.min_texture))

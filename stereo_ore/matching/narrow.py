@@ -47,7 +47,7 @@ def narrow(pair: RectifiedPair, region: Region, volume: Volume | None, config: M
     coarse = _coarse_region(pair.rig, region, scale)
     left, right = (light.reduced(grey(eye), scale) for eye in (pair.left, pair.right))
     images = sgbm.crop(left, right, coarse)
-    found, _ = light.first_look(images, config)
+    found = light.first_look(images, config).found
     seen = found.valid
     if seen.mean() < LEAST_SHARE:
         return region

@@ -17,6 +17,14 @@ NONE = -SUBPIXEL
 OWN_CHECK_OFF = 1_000_000
 """OpenCV compares left with right by whole pixels; -1, which is said to switch that off, acts as 1 px."""
 
+CLEAN_PX, NOISY_PX, NOISY = 3, 5, 1.1
+"""Matching windows of an automatic size, and the noise [grey levels] from which on the larger one is taken: it errs
+less there, while the smaller one follows what is thin."""
+
+NOISE_CELL_PX, NOISE_SHARE, NOISE_ROWS = 16, 5, 4
+"""Cells whose noise is measured, the per cent of them that are plainest, and of how many stretches of rows one will do.
+"""
+
 MODES = {
     "sgbm": cv2.STEREO_SGBM_MODE_SGBM,
     "3way": cv2.STEREO_SGBM_MODE_SGBM_3WAY,
@@ -72,6 +80,28 @@ def crop(left: U8, right: U8, region: Region) -> Crop:
     return Crop(lefts, rights, region, left.shape[1])
 
 
+def with_block(config: MatchingConfig, images: Crop) -> MatchingConfig:
+    """The configuration with the size of the matching window that suits the images."""
+    if config.block_size != "auto":
+        return config
+    size = NOISY_PX if noise(images.inner) >= NOISY else CLEAN_PX
+    return config.model_copy(update={"block_size": size})
+
+
+def noise(image: U8) -> float:
+    """Standard deviation of the noise of a grey image [grey levels], from where it is plainest (Immerkær 1996).
+
+    A mask that any slope of brightness leaves at zero is applied, and its mean size taken in each of many cells.
+    """
+    cell, (height, width) = NOISE_CELL_PX, image.shape
+    if height < cell or width < cell:
+        return 0.0
+    rows = [image[y : y + cell, : width // cell * cell] for y in range(0, height - cell + 1, cell * NOISE_ROWS)]
+    once = np.array([1, -2, 1], np.float32)
+    size = [np.abs(cv2.sepFilter2D(part, cv2.CV_32F, once, once)).reshape(cell, -1, cell).mean((0, 2)) for part in rows]
+    return float(np.percentile(np.concatenate(size), NOISE_SHARE) * np.sqrt(np.pi / 2) / 6)
+
+
 def match_left(images: Crop, config: MatchingConfig) -> I16:
     """Disparity of the region's pixels, (h, w) int16 [px / 16], negative where none was found."""
     n = images.region.num_disparities
@@ -121,11 +151,12 @@ def _columns(image: U8, start: int, stop: int) -> U8:
 
 
 def _matcher(config: MatchingConfig, lowest: int, count: int) -> cv2.StereoSGBM:
-    area = config.block_size**2
+    block = CLEAN_PX if config.block_size == "auto" else config.block_size
+    area = block**2
     return cv2.StereoSGBM.create(
         minDisparity=lowest,
         numDisparities=count,
-        blockSize=config.block_size,
+        blockSize=block,
         P1=config.p1 * area,
         P2=config.p2 * area,
         disp12MaxDiff=OWN_CHECK_OFF,
