@@ -45,7 +45,7 @@ class MatchingConfig(StageConfig):
     use_region: bool = param(True, "search only the image region and the disparities that the working volume can show")
     narrow: bool = param(True, "look at a small copy of each pair first, and search only what it shows")
     min_confidence: float = param(
-        0.5, "disparities less likely than this to be within a pixel of the truth are dropped", ge=0, lt=1
+        0.4, "disparities less likely than this to be within a pixel of the truth are dropped", ge=0, lt=1
     )
     lr_max_diff: float = param(2.0, "left-right difference above which a disparity is dropped", "px", gt=0)
     speckle_size: int = param(40, "connected disparities, this many or fewer, are dropped (0: off)", "px", ge=0)

@@ -73,15 +73,19 @@ def first_look(small: Crop, config: MatchingConfig) -> Look:
 
 
 def evened(images: Crop, config: MatchingConfig) -> tuple[Crop, Crop]:
-    """The images with like brightness, and those to be matched, as far as a small copy shows that it pays."""
+    """The images with their gain, and those to be matched, as far as a small copy shows that it pays.
+
+    Rounded to whole grey levels, images of like brightness suit the matcher, but not the refinement.
+    """
     scale = coarse_scale(images.left.shape[1])
     n, (height, width) = images.region.num_disparities // scale, (side // scale for side in images.left.shape)
     if not config.even_light or min(n, height, width - 2 * n) < 1:
         return images, images
     inner = Region(n, 0, width - n, height, 0, round_up(n + 1))
     look = first_look(sgbm.crop(reduced(images.left, scale), reduced(images.right, scale), inner), config)
-    alike = with_like_brightness(images) if look.like else images
-    return alike, normalised(images) if look.even else alike
+    compared = with_like_brightness(images) if look.like else images
+    gain = float(compared.right.std() / max(images.right.std(), 1.0)) if look.like else 1.0
+    return replace(images, gain=gain), normalised(images) if look.even else compared
 
 
 def with_like_brightness(images: Crop) -> Crop:

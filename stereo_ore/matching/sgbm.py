@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -39,13 +39,14 @@ class Crop:
 
     Region column j is column j + n of both. The right image is shifted by the smallest disparity, so that the search
     begins at zero and no column of the region is lost to the border. Disparities of a crop are counted from there.
-    `image_width` is that of the whole images.
+    `image_width` is that of the whole images, `gain` the left eye's contrast over the right one's.
     """
 
     left: U8
     right: U8
     region: Region
     image_width: int
+    gain: float = 1.0
 
     @property
     def inner(self) -> U8:
@@ -68,7 +69,7 @@ class Crop:
 
     def rows(self, rows: slice) -> Crop:
         """Some rows of the crop; the region is still the whole one."""
-        return Crop(self.left[rows], self.right[rows], self.region, self.image_width)
+        return replace(self, left=self.left[rows], right=self.right[rows])
 
 
 def crop(left: U8, right: U8, region: Region) -> Crop:

@@ -12,11 +12,11 @@ from stereo_ore.matching.sgbm import Crop
 from stereo_ore.matching.windows import Support
 from stereo_ore.types import F32, U8
 
-PATCH_PX = 9
+PATCH_PX = 7
 """Window over which the images are compared."""
 
-BEFORE_STEP_PX, AFTER_STEP_PX = 1.5, 1.0
-"""Disparities are averaged before and after; these steps end a surface."""
+STEP_PX = 1.5
+"""Disparities are averaged before and after; such a step ends a surface."""
 
 REACH_PX = 2 * (windows.SMOOTH_PX // 2) + PATCH_PX // 2
 """How far from a pixel the refinement looks."""
@@ -58,7 +58,7 @@ def refine(images: Crop, filled: F32, around: Support) -> Refined:
     around : Support
         Where there is a disparity.
     """
-    start = windows.smooth(filled, around, BEFORE_STEP_PX)
+    start = windows.smooth(filled, around, STEP_PX)
     count = np.maximum(windows.count(around.valid, PATCH_PX), np.float32(1))
     before = (images.inner - warp(images, start)) * around.weight
     moved = (start + _step(images.inner, before, around, count)) * around.weight
@@ -67,7 +67,7 @@ def refine(images: Crop, filled: F32, around: Support) -> Refined:
     better = np.less(left, unlike).view(np.uint8)
     values = np.asarray(cv2.copyTo(moved, better, start), np.float32)
     residual = np.sqrt(np.maximum(np.minimum(left, unlike), np.float32(0)))
-    return Refined(windows.smooth(values, around, AFTER_STEP_PX), residual)
+    return Refined(windows.smooth(values, around, STEP_PX), residual)
 
 
 def _step(left: U8, residual: F32, around: Support, count: F32) -> F32:
@@ -95,10 +95,11 @@ def _variance(residual: F32, count: F32) -> F32:
 
 
 def warp(images: Crop, disparity: F32) -> F32:
-    """The right image as the left eye would see it, (h, w) float32 [grey levels]."""
+    """The right image as the left eye would see it, but for an offset, (h, w) float32 [grey levels]."""
     right = images.right.astype(np.float32)
     x, y = images.columns - disparity, _rows(disparity)
-    return np.asarray(cv2.remap(right, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), np.float32)
+    laid = np.asarray(cv2.remap(right, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), np.float32)
+    return laid if images.gain == 1 else laid * np.float32(images.gain)
 
 
 def _rows(image: F32) -> F32:
