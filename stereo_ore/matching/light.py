@@ -31,6 +31,9 @@ ALIKE_LOSS, EVEN_GAIN = 0.01, 0.018
 """Share of the pixels that may agree less with like brightness, which hardly ever harms; and that must agree in
 addition for normalised images to be matched, which cost a point of bad pixels or more where light is the same."""
 
+ENOUGH = 0.9
+"""Share of the pixels that agree which no other light would raise much: then the look is over."""
+
 UNLIKE = 0.5
 """Mean difference of the eyes' brightness [grey levels] from which on one is given the other's."""
 
@@ -55,21 +58,24 @@ class Look:
     like: bool
     even: bool
 
+    @property
+    def share(self) -> float:
+        """Share of the pixels that agree."""
+        return float(self.found.valid.mean())
+
 
 def first_look(small: Crop, config: MatchingConfig) -> Look:
-    """Match a small copy as it is, with like brightness and normalised, and choose among these."""
+    """Match a small copy with like brightness, and where that is not enough as it is and normalised; choose."""
     quick = config.model_copy(update=COARSE)
-    best = Look(consistency.match_both(small, quick), like=False, even=False)
-    if not config.even_light:
+    alike = with_like_brightness(small) if config.even_light else small
+    best = Look(consistency.match_both(alike, quick), like=alike is not small, even=False)
+    if not config.even_light or best.share >= ENOUGH:
         return best
-    alike = with_like_brightness(small)
-    if alike is not small:
-        found = consistency.match_both(alike, quick)
-        kept = found.valid.mean() - best.found.valid.mean() >= -ALIKE_LOSS
-        best = Look(found, like=True, even=False) if kept else best
-    even = consistency.match_both(small, quick, normalised(small))
-    pays = even.valid.mean() - best.found.valid.mean() > EVEN_GAIN
-    return replace(best, found=even, even=True) if pays else best
+    if best.like:
+        plain = Look(consistency.match_both(small, quick), like=False, even=False)
+        best = plain if plain.share - best.share > ALIKE_LOSS else best
+    even = replace(best, found=consistency.match_both(small, quick, normalised(small)), even=True)
+    return even if even.share - best.share > EVEN_GAIN else best
 
 
 def evened(images: Crop, config: MatchingConfig) -> tuple[Crop, Crop]:

@@ -16,7 +16,7 @@ from stereo_ore.types import F32, Mask, RectifiedPair, Region, Rig, Volume
 FAR_SHARE = 0.005
 """Share of the far end of the disparities that may be missed behind the volume: wrong matches are there."""
 
-SHORT_RANGE = 96
+SHORT_RANGE = 32
 """Without a volume so few disparities are sooner searched than looked over."""
 
 LEAST_SHARE = 0.02
