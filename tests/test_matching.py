@@ -250,7 +250,7 @@ def test_narrowing_keeps_what_the_frame_shows(flat_plane_pair) -> None:
     assert region.min_disparity <= truth.min() + 1
     assert region.min_disparity + region.num_disparities > truth.max()
     assert region.num_disparities < 96
-    assert matching.narrow(pair, whole(RIG, 0, 64), None, CONFIG) == whole(RIG, 0, 64)
+    assert matching.narrow(pair, whole(RIG, 0, 32), None, CONFIG) == whole(RIG, 0, 32)
     off = MatchingConfig(narrow=False)
     assert matching.narrow(pair, whole(RIG), None, off) == whole(RIG)
 

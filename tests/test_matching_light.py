@@ -48,7 +48,7 @@ def test_a_residue_of_rectification_is_not_taken_for_depth(rows: float) -> None:
 def test_light_is_evened_where_it_differs_and_only_there() -> None:
     pair = pair_of(RAMP, SMALL, noise=1.0)
     dark = replace(pair, right=(255 * (pair.right / 255.0) ** 2).astype(np.uint8))
-    uneven = dimmed(pair, np.linspace(1.3, 0.5, 300))
+    uneven = dimmed(pair, np.linspace(1.6, 0.3, 300))
     for both, like, even in ((pair, None, False), (dark, True, False), (uneven, None, True)):
         images = sgbm.crop(grey(both.left), grey(both.right), whole(SMALL))
         alike, compared = light.evened(images, CONFIG)

@@ -184,7 +184,7 @@ class HealthConfig(StageConfig):
 
     min_disparity_share: float = param(0.2, "share of the pixels searched that must have a disparity", ge=0, lt=1)
     min_right_share: float = param(
-        0.24, "share of the textured pixels that must be matched rightly, by the confidence of each", ge=0, lt=1
+        0.3, "share of the textured pixels that must be matched rightly, by the confidence of each", ge=0, lt=1
     )
     max_row_shift_rad: float = param(0.00025, "row difference of the matched eyes, over the focal length", "rad", gt=0)
     min_brightness: float = param(24, "grey level that 5 % of the pixels reach, in the darker eye", ge=0, le=255)
