@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,10 @@ from stereo_ore.types import F32
 
 SMALL = 128
 """Rows of a matrix product: few enough that the linear algebra library doesn't start threads, which cost far more."""
+
+
+WIDE = 512
+"""Columns of such a product, likewise."""
 
 
 @dataclass(frozen=True)
@@ -38,3 +43,17 @@ class Network:
             return np.asarray(1 / (1 + np.exp(-np.clip(logit, -30, 30))), np.float32)
 
         return map_rows(rows, len(features))
+
+    def map(self, images: Sequence[F32]) -> F32:
+        """Probability (h, w) of each pixel of F images (h, w), one feature each."""
+        weights = (np.array(self.hidden_weights, np.float32) / np.array(self.scale, np.float32)[:, None]).T
+        bias = np.array(self.hidden_bias, np.float32) - weights @ np.array(self.mean, np.float32)
+        out, last = np.array(self.output_weights, np.float32), np.float32(self.output_bias)
+        features = np.stack([np.ravel(image) for image in images])
+        logit = np.empty(features.shape[1], np.float32)
+        for few in chunks(len(logit), WIDE):
+            hidden = weights @ features[:, few]
+            hidden += bias[:, None]
+            np.dot(out, np.maximum(hidden, 0, out=hidden), out=logit[few])
+        logit += last
+        return np.asarray(1 / (1 + np.exp(-np.clip(logit, -30, 30))), np.float32).reshape(images[0].shape)

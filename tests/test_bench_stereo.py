@@ -10,7 +10,7 @@ import pytest
 
 from stereo_ore.cli import launch
 from stereo_ore.errors import SourceError
-from stereo_ore.lab.bench import stereo, stereo_sets
+from stereo_ore.lab.bench import equal_density, stereo, stereo_sets
 from stereo_ore.types import RectifiedPair, Region
 
 
@@ -98,7 +98,11 @@ def test_the_command_writes_both_forms(middlebury: Path, tmp_path: Path, capsys:
     with pytest.raises(SystemExit) as done:
         launch(["bench", "stereo", str(middlebury), "--repeats", "1", "--out", str(tmp_path / "out")])
     assert done.value.code == 0
-    rows = json.loads((tmp_path / "out/bench-stereo.json").read_text())
+    document = json.loads((tmp_path / "out/bench-stereo.json").read_text())
+    rows, (sure,) = document["matchers"], document["confidence"]
+    assert sure["auc"] is None or sure["auc"] > 0.9  # hardly a pixel is wrong by more than one
+    assert sure["true"][9] > 0.99
+    assert document["equal_density"] == []
     assert [row["matcher"] for row in rows] == list(stereo.MATCHERS)
     assert rows[0]["bad1"] < 2
     assert rows[0]["median"] < rows[1]["median"]
@@ -127,3 +131,41 @@ def test_ore_of_path_traced_scenes_is_measured_to_a_tenth_of_a_pixel(
     assert 100 * (~(np.abs(error) <= 1)).mean() <= wrong
     assert np.nanmedian(np.abs(error)) <= median
     assert abs(np.nanmedian(error)) <= 0.05
+
+
+def test_curves_are_read_between_their_points_and_below_them() -> None:
+    curve = [(0.8, 0.3, 0.25), (0.6, 0.45, 0.42)]
+    assert equal_density.read_at(curve, 0.7) == pytest.approx((0.375, 0.335))
+    assert equal_density.read_at(curve, 0.3) == pytest.approx((0.725, 0.71))
+    assert equal_density.read_at(curve, 0.9) == pytest.approx((0.3, 0.25))
+
+
+def test_the_surest_pixels_come_first_and_equal_ones_together() -> None:
+    truth = np.array([[5, 5, 5, 5, np.nan]], np.float32)
+    values = np.array([[5.5, 9, 6.5, np.nan, 5]], np.float32)
+    sure = np.array([[0.9, 0.5, 0.5, np.nan, 0.1]], np.float32)
+    points = equal_density.points_by_confidence(values, sure, truth)
+    np.testing.assert_allclose(points, [(0.25, 0.75, 0.75), (0.75, 0.75, 0.5)])
+    nothing = equal_density.points_by_confidence(np.full_like(values, np.nan), sure, truth)
+    assert nothing == [(0.0, 1.0, 1.0)]
+
+
+def test_a_peer_counts_at_its_best_setting_for_each_measure() -> None:
+    def row(name: str, setting: str, one: float, two: float) -> equal_density.Compared:
+        return equal_density.Compared(name, "HH", setting, 0.8, (0.2, 0.1), (one, two), 0.9)
+
+    rows = [row("a", "x", 0.21, 0.15), row("b", "x", 0.19, 0.15), row("a", "y", 0.3, 0.08), row("b", "y", 0.3, 0.11)]
+    one, two = equal_density.verdicts(rows)
+    assert (one.setting, one.won, two.setting, two.won) == ("x", 1, "y", 1)
+    assert one.difference == pytest.approx(0, abs=1e-9)
+    assert two.difference == pytest.approx(0.5)
+    assert "| HH (x) | bad-1 | +0.00 | 1 of 2 | 0.900 (0.900) |" in equal_density.markdown(rows)
+
+
+@pytest.mark.slow
+def test_the_grid_compares_every_peer(middlebury: Path) -> None:
+    (data,) = stereo_sets.find_sets(middlebury)
+    rows = list(stereo.beside_peers(data))
+    assert {row.peer for row in rows} == {"3WAY", "HH", "WLS"}
+    assert all(0 <= row.peers[1] <= row.peers[0] <= 1 for row in rows)
+    assert max(row.rms_ratio for row in rows) < 1

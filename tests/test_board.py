@@ -111,6 +111,19 @@ def test_corners_are_found_in_order_whatever_the_turn(board: Board, turn: float)
     assert len(corners.ids) >= (1.0 if board.marker_m is None else 0.85) * board.columns * board.rows
 
 
+def test_corners_of_sharp_boards_lie_within_a_twentieth_of_a_pixel() -> None:
+    """An image that is normalised first moves them by a quarter of a pixel."""
+    errors = []
+    for turn in (0.0, np.pi / 2, np.pi, -2.0):
+        T = from_vector(np.array([0, 0, turn, 0, 0, 0.0])) @ from_vector(np.array([0.2, -0.25, 0, -0.18, -0.12, 0]))
+        T[2, 3] += 0.6
+        image, truth = rendered(BOARD, T)
+        corners = find_corners(image, BOARD)
+        assert corners is not None
+        errors.append(corners.px - truth[corners.ids])
+    assert np.sqrt((np.concatenate(errors) ** 2).sum(1).mean()) < 0.05
+
+
 def test_no_board_and_half_a_board(tmp_path: Path) -> None:
     T = from_vector(np.array([0.2, -0.2, 0, -0.18, -0.12, 0.6]))
     image, truth = rendered(CHARUCO, T)

@@ -95,7 +95,7 @@ def pair_of(flat: Any, turn: tuple[float, float, float] = (1, 0, 0)) -> tuple[Re
     pair = replace(flat.pair, right=right)
     values = flat.disparity.copy()
     cues = {"spread_px": np.zeros_like(values)}
-    return pair, Disparity(values, Region(0, 0, width, height, 0, 64), cues)
+    return pair, Disparity(values, Region(0, 0, width, height, 0, 64), np.ones_like(values), cues)
 
 
 def rows_of(pair: RectifiedPair, disparity: Disparity) -> float:
@@ -143,7 +143,7 @@ def test_noise_is_no_row_shift(flat_plane_pair: Any) -> None:
 def test_rows_of_little_are_unknown(flat_plane_pair: Any, size: tuple[int, int]) -> None:
     pair, disparity = pair_of(flat_plane_pair)
     region = Region(80, 0, 80 + size[1], size[0], 0, 64)
-    assert rows_of(pair, Disparity(disparity.values, region, {})) == 0
+    assert rows_of(pair, Disparity(disparity.values, region, disparity.confidence, {})) == 0
 
 
 def test_a_correction_of_the_calibration_moves_no_pixel(flat_plane_pair: Any) -> None:

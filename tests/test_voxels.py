@@ -27,7 +27,7 @@ def cloud_of(xyz: np.ndarray) -> PointCloud:
 def disparity_with(texture: np.ndarray) -> Disparity:
     cue = np.zeros((48, 64), np.float32)
     cue.ravel()[: len(texture)] = texture
-    return Disparity(np.ones((48, 64), np.float32), REGION, {"texture": cue})
+    return Disparity(np.ones((48, 64), np.float32), REGION, np.ones((48, 64), np.float32), {"texture": cue})
 
 
 def random_points(seed: int, n: int = 500) -> np.ndarray:

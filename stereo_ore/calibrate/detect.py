@@ -108,12 +108,18 @@ def plane_residual(px: F64, board: Board) -> float:
 
 
 def _chessboard(gray: U8, board: Board) -> list[F64]:
-    """Candidates (columns·rows, 2) [px] of both detectors, as found and refined."""
+    """Candidates (columns·rows, 2) [px] of both detectors, as found and refined.
+
+    The newer one places corners a quarter of a pixel beside themselves in an image that it has normalised; it does so
+    only where it finds nothing otherwise.
+    """
     size = (board.columns, board.rows)
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
-    sector_flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
     found_old, old = cv2.findChessboardCorners(gray, size, flags=flags)
-    found_new, new = cv2.findChessboardCornersSB(gray, size, flags=sector_flags)
+    thorough = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+    found_new, new = cv2.findChessboardCornersSB(gray, size, flags=thorough)
+    if not found_new:
+        found_new, new = cv2.findChessboardCornersSB(gray, size, flags=thorough | cv2.CALIB_CB_NORMALIZE_IMAGE)
     candidates = [np.asarray(new, np.float64).reshape(-1, 2)] if found_new else []
     rough = [np.asarray(px, np.float32).reshape(-1, 2) for found, px in ((found_old, old), (found_new, new)) if found]
     return candidates + [_refine(gray, px, clear=1 / 3) for px in rough]

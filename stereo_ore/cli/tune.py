@@ -36,7 +36,8 @@ def tune(
     train: Annotated[
         str | None,
         typer.Option(
-            help="geometry or stereo: train adaptive's scorer instead; segment: the models of lumps; solids: the prior."
+            help="geometry or stereo: train adaptive's scorer instead; segment: the models of lumps; "
+            "solids: the prior; confidence: that of disparities, on the pairs of --scene."
         ),
     ] = None,
     scene: Annotated[list[Path] | None, typer.Option(help="Scene folder with truth to train on as well.")] = None,
@@ -87,6 +88,7 @@ def _train(out: Path, kind: str, seeds: int, scenes: list[Path]) -> None:
         "stereo": _train_scorer,
         "segment": _train_segment,
         "solids": _train_solids,
+        "confidence": _train_confidence,
     }
     if kind not in trainers:
         raise ConfigError(f"{kind!r} can't be trained", key="--train", remedy=f"Use one of {', '.join(trainers)}")
@@ -136,6 +138,22 @@ def _train_solids(_kind: str, seeds: range, scenes: list[Path]) -> str:
         if rows:
             log.info("%s left out: %s", name, shape_prior.quality([found[i] for i in rows], errors[rows], prior))
     return prior.to_json()
+
+
+def _train_confidence(_kind: str, _seeds: range, scenes: list[Path]) -> str:
+    """JSON of the confidence's network; its quality on sets left out is logged."""
+    from stereo_ore.config import MatchingConfig
+    from stereo_ore.lab.bench import stereo_sets
+    from stereo_ore.lab.training import confidence
+
+    if not scenes:
+        raise ConfigError("no set was given", key="--scene", remedy="Give folders of stereo pairs with truth")
+    sets = (data for folder in scenes for data in stereo_sets.find_sets(folder))
+    examples = list(confidence.views(sets, MatchingConfig()))
+    network, quality = confidence.train(examples)
+    for each in quality:
+        log.info("%s left out: area under ROC %s", each.set, each.auc and round(each.auc, 3))
+    return confidence.to_json(network, quality, examples, seed=0)
 
 
 def _watched(items: Iterator[Item], total: int, what: str) -> Iterator[Item]:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
 
 class StageConfig(BaseModel):
@@ -31,20 +31,28 @@ class MatchingConfig(StageConfig):
     """Semi-global matching (OpenCV StereoSGBM) and what is done to its disparities."""
 
     mode: Literal["sgbm", "3way", "hh", "hh4"] = param("3way", "path directions of SGBM")
-    block_size: int = param(5, "side of the matching window, odd", "px", ge=1, le=15)
+    block_size: Annotated[int, Field(ge=1, le=15)] | Literal["auto"] = param(
+        "auto", "side of the matching window, odd; auto: 3, or 5 where the image is noisy", "px"
+    )
     p1: int = param(8, "penalty of a one-level disparity step, times block_size²", ge=0)
-    p2: int = param(32, "penalty of a larger step, times block_size²", ge=1)
+    p2: int = param(32, "penalty of a larger step, more than p1, times block_size²", ge=1)
     uniqueness: int = param(0, "margin by which the best cost must win", "%", ge=0, le=50)
-    pre_filter_cap: int = param(31, "truncation of the prefiltered gradient", "grey levels", ge=1, le=63)
+    pre_filter_cap: int = param(21, "truncation of the prefiltered gradient, odd", "grey levels", ge=15, le=63)
     min_disparity: int | None = param(None, "smallest disparity searched; null: 0, or from the working volume", "px")
     num_disparities: int | None = param(
         None, "disparities searched; null: from the working volume, or a fifth of the image width", "px", ge=16
     )
     use_region: bool = param(True, "search only the image region and the disparities that the working volume can show")
     narrow: bool = param(True, "look at a small copy of each pair first, and search only what it shows")
-    lr_max_diff: float = param(1.0, "left-right difference above which a disparity is dropped", "px", gt=0)
-    speckle_size: int = param(40, "connected disparities fewer than this are dropped (0: off)", "px", ge=0)
+    min_confidence: float = param(
+        0.4, "disparities less likely than this to be within a pixel of the truth are dropped", ge=0, lt=1
+    )
+    lr_max_diff: float = param(2.0, "left-right difference above which a disparity is dropped", "px", gt=0)
+    speckle_size: int = param(40, "connected disparities, this many or fewer, are dropped (0: off)", "px", ge=0)
     speckle_range: float = param(1.0, "step that separates them", "px", gt=0)
+    even_light: bool = param(
+        True, "make the eyes' brightness alike, or match normalised images, where more of a small copy agrees so"
+    )
     fuse: int = param(1, "frames of a still scene, from each one on, that are measured as one", ge=1, le=64)
     min_texture: float = param(
         0.2,
@@ -53,6 +61,22 @@ class MatchingConfig(StageConfig):
         ge=0,
     )
     sigma_px: float = param(0.15, "standard deviation of a disparity, for depth noise", "px", gt=0)
+
+    @field_validator("block_size", "pre_filter_cap")
+    @classmethod
+    def _odd(cls, value: int | str) -> int | str:
+        """Refuse what OpenCV would take for the next odd number."""
+        if isinstance(value, int) and value % 2 == 0:
+            raise ValueError(f"must be odd; OpenCV would take {value + 1}")
+        return value
+
+    @field_validator("p2")
+    @classmethod
+    def _more_than_p1(cls, value: int, info: ValidationInfo) -> int:
+        """Refuse what OpenCV would take for p1 + 1."""
+        if value <= info.data.get("p1", -1):
+            raise ValueError(f"must be more than p1 ({info.data['p1']}): a large step can't cost less than a small one")
+        return value
 
 
 class CloudConfig(StageConfig):
@@ -159,7 +183,9 @@ class HealthConfig(StageConfig):
     """Self-checks: what makes a frame degraded, so that it gives no target."""
 
     min_disparity_share: float = param(0.2, "share of the pixels searched that must have a disparity", ge=0, lt=1)
-    max_spread_px: float = param(0.15, "median difference of neighbouring disparities that eyes which agree have", "px")
+    min_right_share: float = param(
+        0.3, "share of the textured pixels that must be matched rightly, by the confidence of each", ge=0, lt=1
+    )
     max_row_shift_rad: float = param(0.00025, "row difference of the matched eyes, over the focal length", "rad", gt=0)
     min_brightness: float = param(24, "grey level that 5 % of the pixels reach, in the darker eye", ge=0, le=255)
     min_fine_detail: float = param(0.014, "energy of the finest detail in both eyes, over that of coarse detail", ge=0)

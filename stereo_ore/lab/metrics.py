@@ -140,3 +140,22 @@ def surface_distance_and_angle(point: F64, direction: F64, surface: F64, neighbo
     normal = np.linalg.svd(near - near.mean(0), full_matrices=False)[2][2]
     normal = normal if normal @ near.mean(0) < 0 else -normal
     return float(distance.min()), float(np.arccos(np.clip(-direction @ normal, -1, 1)))
+
+
+def area_under_roc(score: npt.NDArray[np.floating[Any]], positive: Mask) -> float | None:
+    """Chance that a positive one of (N,) scores above a negative one, ties counting half; None where one kind lacks."""
+    values, rank, count = np.unique(score, return_inverse=True, return_counts=True)
+    hits = np.bincount(rank, positive, len(values))
+    misses = count - hits
+    below = np.cumsum(misses) - misses / 2
+    pairs = float(hits.sum() * misses.sum())
+    return float((hits * below).sum()) / pairs if pairs else None
+
+
+def reliability(said: npt.NDArray[np.floating[Any]], true: Mask) -> tuple[list[float | None], list[float | None]]:
+    """Mean probability said, and share that is true, of (N,) in each tenth of the probability; None in empty ones."""
+    tenth = np.minimum((10 * said).astype(int), 9)
+    count = np.bincount(tenth, minlength=10)
+    means = (np.bincount(tenth, x, 10) / np.maximum(count, 1) for x in (said, true))
+    first, second = ([float(x) if n else None for x, n in zip(mean, count, strict=True)] for mean in means)
+    return first, second

@@ -53,6 +53,7 @@ def _surface(background: Background, rig: Rig, region: Region, site: Site, confi
     """The empty screen in metres; its colours were not kept."""
     black = np.zeros((rig.height, rig.width, 3), np.uint8)
     pair = RectifiedPair(black, black, rig)
-    disparity = Disparity(background.disparity, region)
+    sure = np.where(np.isfinite(background.disparity), np.float32(1), np.float32(np.nan))
+    disparity = Disparity(background.disparity, region, sure)
     points: PointCloud = cloud.reproject(disparity, pair, site.volume, config.cloud, config.matching.sigma_px)
     return cloud.surface(points, np.ones(len(points), bool), pair, region)

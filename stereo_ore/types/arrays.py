@@ -26,7 +26,7 @@ valid_share     share of pixels with a disparity in a window around it, 0…1
 spread_px       local spread of disparity (robust standard deviation in a window), px
 lr_diff_px      |left-right − right-left| disparity difference, px
 texture         root mean square of the horizontal image gradient in a window, grey levels a px
-photometric     mean absolute grey difference of the matched windows over the texture, dimensionless
+photometric     mean absolute grey difference of the matched windows, less its mean, over the texture, dimensionless
 median_diff_px  |disparity − its local median|, px
 offset_N_px     disparity − the plane fitted to a window of N px around it, px
 scatter_N_px    root mean square of the residuals of that plane, px

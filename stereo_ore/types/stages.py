@@ -49,17 +49,20 @@ class RectifiedPair:
 class Disparity:
     """Left-to-right disparity, (H, W) float32 [px], NaN where there is none, with the matcher's doubts.
 
-    `cues` maps names of `CUES` to (h, w) float32 arrays of the region's pixels (any subset); `diagnostics` are counts
-    and settings used.
+    `confidence` (H, W) float32 is the probability that a disparity is within a pixel of the truth, NaN where there is
+    none. `cues` maps names of `CUES` to (h, w) float32 arrays of the region's pixels (any subset); `diagnostics` are
+    counts and settings used.
     """
 
     values: F32
     region: Region
+    confidence: F32
     cues: Mapping[str, F32] = field(default_factory=dict)
     diagnostics: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_shape(self, "values", self.values, None, None)
+        check_shape(self, "confidence", self.confidence, *self.values.shape)
         for name, cue in self.cues.items():
             check_shape(self, f"cues[{name!r}]", cue, *self.values[self.region.slices].shape)
 

@@ -22,25 +22,40 @@ def stereo(
     folders: Annotated[list[Path], typer.Argument(help="Folders that hold Middlebury sets or scenes with truth.")],
     out: Annotated[Path | None, typer.Option(help="Folder for bench-stereo.json and .md.")] = None,
     repeats: Annotated[int, typer.Option(min=1, max=50, help="Timed runs of each matcher; the median counts.")] = 3,
+    grid: Annotated[
+        bool, typer.Option(help="Beside 3WAY, HH and WLS at the best of a grid too, at equal density; takes minutes.")
+    ] = False,
     readme: Annotated[Path | None, typer.Option(help="Put the tables between its `bench stereo` markers.")] = None,
 ) -> None:
     """Compare matchers: errors over all, seen and ore pixels, density, time. OpenCV's run with their sample settings.
 
+    What our confidence says is held against what is true. Missing pixels count as bad everywhere.
+
     Example: `stereo-ore bench stereo data --out bench`
     """
     from stereo_ore.io.atomic import make_folder
+    from stereo_ore.lab.bench import equal_density, stereo_sets, tables
     from stereo_ore.lab.bench import stereo as bench
-    from stereo_ore.lab.bench import stereo_sets, tables
 
     if out:
         make_folder(out)
     rows: list[bench.Row] = []
+    sure: list[bench.Sureness] = []
+    compared: list[equal_density.Compared] = []
     for data in (data for folder in folders for data in stereo_sets.find_sets(folder)):
         log.info("%s", data.name)
         rows += bench.judge_all([data], repeats)
-    text = bench.markdown(rows)
+        sure.append(bench.sureness(data))
+        compared += bench.beside_peers(data) if grid and data.volume is None else []
+    text = bench.markdown(rows) + "\n" + bench.sureness_markdown(sure)
+    text += f"\n{equal_density.markdown(compared)}" if compared else ""
     if out:
-        (out / "bench-stereo.json").write_text(json.dumps([asdict(row) for row in rows], indent=1) + "\n", "utf-8")
+        document = {
+            "matchers": [asdict(row) for row in rows],
+            "confidence": [asdict(row) for row in sure],
+            "equal_density": [asdict(row) for row in compared],
+        }
+        (out / "bench-stereo.json").write_text(json.dumps(document, indent=1) + "\n", "utf-8")
         (out / "bench-stereo.md").write_text(text, "utf-8")
     if readme:
         tables.insert(readme, "bench stereo", text)

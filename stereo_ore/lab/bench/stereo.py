@@ -10,10 +10,13 @@ import cv2
 import numpy as np
 
 from stereo_ore.config import MatchingConfig
+from stereo_ore.lab.bench import peers
+from stereo_ore.lab.bench.equal_density import Compared, points_by_confidence, read_at, rms_ratio
 from stereo_ore.lab.bench.stereo_sets import StereoSet
 from stereo_ore.lab.bench.tables import table
+from stereo_ore.lab.metrics import area_under_roc, reliability
 from stereo_ore.stages import matching
-from stereo_ore.types import F32, F64, Mask
+from stereo_ore.types import F32, F64, Disparity, Mask
 
 Matcher = Callable[[StereoSet], F32 | F64]
 
@@ -41,10 +44,25 @@ class Row:
     ms: float
 
 
+@dataclass(frozen=True)
+class Sureness:
+    """Our confidence on a set: area under the ROC curve for "within 1 px"; of each tenth, what is said and true."""
+
+    set: str
+    auc: float | None
+    said: list[float | None]
+    true: list[float | None]
+
+
 def ours(data: StereoSet, config: MatchingConfig = MatchingConfig()) -> F32:  # noqa: B008 - frozen
     """All of this program's matching: a look at the range, both directions, refinement, cues."""
+    return measured(data, config).values
+
+
+def measured(data: StereoSet, config: MatchingConfig = MatchingConfig()) -> Disparity:  # noqa: B008 - frozen
+    """The same with its confidence."""
     region = matching.narrow(data.pair, data.region, data.volume, config)
-    return matching.match(data.pair, region, config).values
+    return matching.match(data.pair, region, config)
 
 
 def opencv_sgbm(data: StereoSet) -> F64:
@@ -95,6 +113,27 @@ def judge_all(sets: Iterable[StereoSet], repeats: int = 3) -> Iterator[Row]:
             yield from _rows(data, name, disparity, float(np.median(times[name])))
 
 
+def beside_peers(data: StereoSet) -> Iterator[Compared]:
+    """Our disparities and every peer's at every setting of the grid, compared at one density."""
+    found, known = measured(data), np.isfinite(data.truth)
+    curve = points_by_confidence(found.values, found.confidence, data.truth)
+    density = curve[-1][0]
+    for peer in peers.grid(data):
+        at = min(density, max(point[0] for point in peer.curve))
+        both = read_at(curve, at), read_at(peer.curve, at)
+        ratio = rms_ratio(found.values[known], peer.values[known], data.truth[known])
+        yield Compared(data.name, peer.name, peer.setting, at, *both, ratio)
+
+
+def sureness(data: StereoSet) -> Sureness:
+    """How far our confidence is to be believed, over all pixels with a disparity and truth."""
+    found = measured(data)
+    error = np.abs(found.values - data.truth)
+    known = np.isfinite(error)
+    said, right = found.confidence[known], error[known] <= 1
+    return Sureness(data.name, area_under_roc(said, right), *reliability(said, right))
+
+
 def _rows(data: StereoSet, matcher: str, disparity: F32 | F64, ms: float) -> Iterator[Row]:
     known = np.isfinite(data.truth)
     scopes: dict[str, Mask | None] = {"all": known, "seen": data.seen, "ore": data.ore}
@@ -116,6 +155,16 @@ def _quality(error: F64) -> dict[str, float]:
         "median": float(np.median(found)) if len(found) else float("nan"),
         "bias": float(np.median(right)) if len(right) else float("nan"),
     }
+
+
+def sureness_markdown(found: Sequence[Sureness]) -> str:
+    """A row a set: area under the ROC curve, and the share that is right in each tenth of the confidence."""
+    head = ["set", "AUC", *(f"{low / 10:.1f}…{(low + 1) / 10:.1f}" for low in range(10))]
+    rows = [
+        [s.set, "–" if s.auc is None else f"{s.auc:.3f}", *("–" if x is None else f"{x:.2f}" for x in s.true)]
+        for s in found
+    ]
+    return f"Share within 1 px of the truth, by the confidence said:\n\n{table(head, rows)}\n"
 
 
 def markdown(rows: Sequence[Row]) -> str:

@@ -22,20 +22,19 @@ def doubts(pair: RectifiedPair, disparity: Disparity, config: HealthConfig) -> I
     """Why a disparity is too poor to act on.
 
     FEW_DISPARITIES: a covered lens, dust, no light. EYES_DISAGREE: swapped eyes, or eyes of two moments, match by
-    chance only, and neighbours differ. ROWS_DISAGREE: the calibration is not that of these images. TOO_DARK and
-    OUT_OF_FOCUS: disparities come out smooth and wrong.
+    chance only, and hardly a disparity is likely to be right. ROWS_DISAGREE: the calibration is not that of these
+    images. TOO_DARK and OUT_OF_FOCUS: disparities come out smooth and wrong.
     """
-    # A ninth of the pixels tells a median or a percentile as well.
-    valid, region, every = np.isfinite(disparity.values), disparity.region, np.s_[::3, ::3]
+    valid, region = np.isfinite(disparity.values), disparity.region
     share = valid.sum() / max((region.x1 - region.x0) * (region.y1 - region.y0), 1)
     if share < config.min_disparity_share:
         wanted = f"{100 * config.min_disparity_share:.0f} % wanted"
         yield Reason("FEW_DISPARITIES", f"{100 * share:.0f} % of the pixels searched have a disparity; {wanted}")
-    spreads = disparity.cues["spread_px"][every][valid[region.slices][every]]
-    spread = float(np.median(spreads)) if len(spreads) else 0.0
-    if spread > config.max_spread_px:
-        text = f"neighbouring disparities differ by {spread:.2f} px, {config.max_spread_px} px at most are wanted"
-        yield Reason("EYES_DISAGREE", f"{text}: are the eyes swapped, or of two moments?")
+    right = float(np.nansum(disparity.confidence)) / max(disparity.diagnostics.get("textured", valid.sum()), 1)
+    if right < config.min_right_share:
+        text = f"{100 * right:.0f} % of the textured pixels are matched rightly, by their confidence"
+        wanted = f"{100 * config.min_right_share:.0f} % are wanted"
+        yield Reason("EYES_DISAGREE", f"{text}, {wanted}: are the eyes swapped, or of two moments?")
     left, right = (np.asarray(cv2.cvtColor(eye, cv2.COLOR_BGR2GRAY), np.uint8) for eye in (pair.left, pair.right))
     shift = row_shift(left, right, disparity, pair.rig.disparity_offset_px)
     limit = config.max_row_shift_rad * pair.rig.fy
@@ -49,6 +48,7 @@ def doubts(pair: RectifiedPair, disparity: Disparity, config: HealthConfig) -> I
 def _image_doubts(
     left: U8, right: U8, disparity: Disparity, offset_px: float, config: HealthConfig
 ) -> Iterator[Reason]:
+    # A ninth of the pixels tells a percentile as well.
     brightest = min(float(np.percentile(eye[disparity.region.slices][::3, ::3], 95)) for eye in (left, right))
     if brightest < config.min_brightness:
         text = f"95 % of the pixels are darker than {brightest:.0f} of 255, {config.min_brightness:.0f} is wanted"

@@ -77,7 +77,8 @@ def strip(disparity: Disparity, middle: int, height: int) -> tuple[slice, Dispar
     region = disparity.region
     top = max(middle - height // 2, region.y0)
     rows = slice(top, min(top + height, region.y1))
-    return rows, Disparity(disparity.values[rows], replace(region, y0=0, y1=rows.stop - rows.start))
+    part = replace(region, y0=0, y1=rows.stop - rows.start)
+    return rows, Disparity(disparity.values[rows], part, disparity.confidence[rows])
 
 
 def smooth(image: U8, sigma_px: float) -> F32:

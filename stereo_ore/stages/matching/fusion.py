@@ -66,9 +66,16 @@ def fuse(pairs: Sequence[RectifiedPair], disparities: Sequence[Disparity]) -> Di
     return Disparity(
         values,
         region,
+        _mean([disparity.confidence for disparity in kept], np.isfinite(values)),
         {name: np.mean([_spread(disparity, name, region) for disparity in kept], axis=0) for name in sorted(names)},
         {**kept[0].diagnostics, "fused": len(kept), "refused": np.flatnonzero(~still).tolist(), "support": support},
     )
+
+
+def _mean(confidences: Sequence[F32], where: Mask) -> F32:
+    """Mean confidence of a pixel over the frames (H, W), a frame without a disparity counting as 0; NaN elsewhere."""
+    total = np.sum([np.nan_to_num(confidence) for confidence in confidences], axis=0, dtype=np.float32)
+    return np.where(where, total / np.float32(len(confidences)), np.float32(np.nan))
 
 
 def _spread(disparity: Disparity, name: str, region: Region) -> F32:
@@ -87,9 +94,8 @@ def _refine(pairs: Sequence[RectifiedPair], region: Region, values: F32) -> F32:
     part = values[region.slices] - offset
     valid = np.isfinite(part)
     filled = np.where(valid, part, np.float32(0))
-    brightness = subpixel.brightness_ratio(images, filled, valid)
     refined = values.copy()
-    fine = subpixel.refine(images, filled, windows.support(valid), brightness).values
+    fine = subpixel.refine(images, filled, windows.support(valid)).values
     np.copyto(refined[region.slices], fine + offset, where=valid)
     return refined
 

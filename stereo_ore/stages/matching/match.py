@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
 import numpy as np
 
 from stereo_ore.config import MatchingConfig
-from stereo_ore.stages.matching import consistency, cues, relief, sgbm, subpixel, windows
+from stereo_ore.stages.matching import confidence, consistency, cues, light, relief, sgbm, subpixel, windows
 from stereo_ore.stages.matching.bands import in_bands
 from stereo_ore.stages.matching.consistency import Agreement
 from stereo_ore.stages.matching.region import default_disparities
 from stereo_ore.types import F32, PIXEL_CUES, U8, Disparity, RectifiedPair, Region, Rig
-
-BRIGHTNESS_STEP = 4
-"""Every such row tells the ratio of the eyes' brightness."""
 
 
 def match(pair: RectifiedPair, region: Region, config: MatchingConfig) -> Disparity:
@@ -34,38 +32,69 @@ def match(pair: RectifiedPair, region: Region, config: MatchingConfig) -> Dispar
     -------
     Disparity
         Full-image values [px], the calibration's correction added, NaN outside the region and where nothing reliable
-        was found; cues for each pixel of the region; counts of what each step left.
+        was found; the probability that each is right; cues of each pixel of the region; counts of what each step left.
     """
-    images = sgbm.crop(grey(pair.left), grey(pair.right), region)
-    found = consistency.match_both(images, config)
-    values, doubts = _finish(images, found, pair.rig)
-    counts = {"matched": int((found.left >= 0).sum()), "disparities": int(found.valid.sum())}
-    return Disparity(values, region, doubts, search_saved(pair.rig, region) | counts)
+    images, compared = light.evened(sgbm.crop(grey(pair.left), grey(pair.right), region), config)
+    found = consistency.match_both(images, config, compared)
+    measured = _measure(images, found)
+    matched = found.left >= 0
+    textured = matched & (found.texture >= np.float32(config.min_texture))
+    sure = found.valid & (measured.confidence >= np.float32(config.min_confidence))
+    values, chances = (np.full((pair.rig.height, pair.rig.width), np.nan, np.float32) for _ in range(2))
+    offset = np.float32(region.min_disparity + pair.rig.disparity_offset_px)
+    np.copyto(values[region.slices], measured.values + offset, where=sure)
+    np.copyto(chances[region.slices], measured.confidence, where=sure)
+    doubts = measured.cues | relief.compute(values[region.slices], sure)
+    masks = {"matched": matched, "textured": textured, "disparities": sure}
+    counts = {name: int(mask.sum()) for name, mask in masks.items()}
+    return Disparity(values, region, chances, doubts, search_saved(pair.rig, region) | counts)
 
 
-def _finish(images: sgbm.Crop, found: Agreement, rig: Rig) -> tuple[F32, dict[str, F32]]:
-    """Refined disparities of the whole image, and cues of the region."""
-    region = images.region
-    values = np.full((rig.height, rig.width), np.nan, np.float32)
+@dataclass(frozen=True)
+class _Measured:
+    """Refined disparities in the crop [px], the probability that they are right, cues, all (h, w) float32."""
+
+    values: F32
+    confidence: F32
+    cues: dict[str, F32]
+
+
+def _measure(images: sgbm.Crop, found: Agreement) -> _Measured:
+    shape = found.left.shape
     # One block: memory for many images costs more time to get than to fill.
-    block = np.empty((len(PIXEL_CUES), *found.left.shape), np.float32)
-    doubts = dict(zip(PIXEL_CUES, block, strict=True))
-    offset = np.float32(region.min_disparity + rig.disparity_offset_px)
-    every = slice(None, None, BRIGHTNESS_STEP)
-    sparse = found.rows(every)
-    brightness = subpixel.brightness_ratio(images.rows(every), sgbm.to_px(sparse.left), sparse.valid)
+    values, chances, *rest = np.empty((len(PIXEL_CUES) + 2, *shape), np.float32)
+    doubts = dict(zip(PIXEL_CUES, rest, strict=True))
+    agreed = confidence.agreement(found.difference)
 
-    def refine(rows: slice, core: slice, band: slice) -> None:
-        part = found.rows(rows)
-        around, matched = windows.support(part.valid), part.left * part.valid
-        refined = subpixel.refine(images.rows(rows), sgbm.to_px(matched), around, brightness)
-        target = (slice(region.y0 + band.start, region.y0 + band.stop), region.slices[1])
-        values[target] = np.where(part.valid[core], refined.values[core] + offset, np.float32(np.nan))
-        for name, cue in cues.compute(part, matched, around, refined.residual).items():
+    def measure(rows: slice, core: slice, band: slice) -> None:
+        near = [share[rows] for share in agreed]
+        refined, seen, witnesses = evidence(images.rows(rows), found.rows(rows), near)
+        values[band] = refined[core]
+        chances[band] = confidence.judge([witness[core] for witness in witnesses])
+        for name, cue in seen.items():
             doubts[name][band] = cue[core]
 
-    in_bands(len(found.left), cues.REACH_PX, refine)
-    return values, doubts | relief.compute(values[region.slices], found.valid)
+    in_bands(shape[0], cues.REACH_PX, measure)
+    return _Measured(values, chances, doubts)
+
+
+def evidence(images: sgbm.Crop, found: Agreement, agreed: list[F32]) -> tuple[F32, dict[str, F32], list[F32]]:
+    """Refined disparities in the crop [px], cues, and what the confidence is judged by, all (h, w) float32.
+
+    Parameters
+    ----------
+    images : Crop
+        Grey images.
+    found : Agreement
+        Of both directions.
+    agreed : list
+        From `confidence.agreement`.
+    """
+    around, matched = windows.support(found.valid), found.left * found.valid
+    filled = sgbm.to_px(matched)
+    refined = subpixel.refine(images, filled, around)
+    seen = cues.compute(found, matched, around, refined.residual)
+    return refined.values, seen, confidence.witnesses(seen, agreed, refined.residual, filled)
 
 
 def grey(image: U8) -> U8:

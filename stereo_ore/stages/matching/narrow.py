@@ -5,25 +5,18 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import cv2
 import numpy as np
 
 from stereo_ore.config import MatchingConfig
-from stereo_ore.stages.matching import consistency, sgbm
+from stereo_ore.stages.matching import light, sgbm
 from stereo_ore.stages.matching.match import grey
 from stereo_ore.stages.matching.region import MARGIN_PX, round_up
-from stereo_ore.types import F32, U8, Mask, RectifiedPair, Region, Rig, Volume
-
-COARSE_WIDTH_PX = 240
-"""Largest width to which the pair is reduced; by two at least."""
-
-COARSE = {"mode": "3way", "uniqueness": 10, "lr_max_diff": 1.0, "speckle_size": 20, "speckle_range": 1.0}
-"""A noisy disparity of the small copy would widen the range, so doubt decides against it; no lump is a speckle."""
+from stereo_ore.types import F32, Mask, RectifiedPair, Region, Rig, Volume
 
 FAR_SHARE = 0.005
 """Share of the far end of the disparities that may be missed behind the volume: wrong matches are there."""
 
-SHORT_RANGE = 96
+SHORT_RANGE = 32
 """Without a volume so few disparities are sooner searched than looked over."""
 
 LEAST_SHARE = 0.02
@@ -50,10 +43,11 @@ def narrow(pair: RectifiedPair, region: Region, volume: Volume | None, config: M
     short = volume is None and region.num_disparities <= SHORT_RANGE
     if not config.narrow or config.num_disparities is not None or short:
         return region
-    scale = max(-(-pair.rig.width // COARSE_WIDTH_PX), 2)
+    scale = light.coarse_scale(pair.rig.width)
     coarse = _coarse_region(pair.rig, region, scale)
-    images = sgbm.crop(_reduce(grey(pair.left), scale), _reduce(grey(pair.right), scale), coarse)
-    found = consistency.match_both(images, config.model_copy(update=COARSE))
+    left, right = (light.reduced(grey(eye), scale) for eye in (pair.left, pair.right))
+    images = sgbm.crop(left, right, coarse)
+    found = light.first_look(images, config).found
     seen = found.valid
     if seen.mean() < LEAST_SHARE:
         return region
@@ -71,12 +65,6 @@ def _coarse_region(rig: Rig, region: Region, scale: int) -> Region:
     highest = math.ceil((region.min_disparity + region.num_disparities) / scale)
     x1, y1 = min(-(-region.x1 // scale), rig.width // scale), min(-(-region.y1 // scale), rig.height // scale)
     return Region(region.x0 // scale, region.y0 // scale, x1, y1, lowest, round_up(highest - lowest))
-
-
-def _reduce(image: U8, scale: int) -> U8:
-    height, width = image.shape[0] // scale, image.shape[1] // scale
-    part = image[: height * scale, : width * scale]
-    return np.asarray(cv2.resize(part, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def _in_volume(rig: Rig, coarse: Region, scale: int, disparity: F32, seen: Mask, volume: Volume) -> Mask:

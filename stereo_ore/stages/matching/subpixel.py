@@ -10,38 +10,44 @@ import numpy as np
 from stereo_ore.stages.matching import windows
 from stereo_ore.stages.matching.sgbm import Crop
 from stereo_ore.stages.matching.windows import Support
-from stereo_ore.types import F32, Mask
+from stereo_ore.types import F32, U8
 
-PATCH_PX = 9
+PATCH_PX = 7
 """Window over which the images are compared."""
 
-BEFORE_STEP_PX, AFTER_STEP_PX = 1.5, 1.0
-"""Disparities are averaged before and after; these steps end a surface."""
+STEP_PX = 1.5
+"""Disparities are averaged before and after; such a step ends a surface."""
 
 REACH_PX = 2 * (windows.SMOOTH_PX // 2) + PATCH_PX // 2
 """How far from a pixel the refinement looks."""
 
-MAX_SHIFT_PX = 0.5
-"""The parabola is never more than half a pixel wrong on the right minimum."""
+MAX_SHIFT_PX = 0.35
+"""The matcher's parabola is hardly ever more wrong than this on the right minimum."""
 
-NOISE = 1.0
-"""Variance of the image gradient that noise alone makes [grey levels²]: without texture the parabola stands."""
+NOISE, ROW_NOISE = 1.0, 3.0
+"""Variance of the gradient along rows that noise alone makes [grey levels²]: without texture the parabola stands. That
+along columns is counted as more, since rows are nearly aligned: a shift of rows must be plain to be believed."""
 
 
 @dataclass(frozen=True)
 class Refined:
-    """Refined disparities [px] (anything where not valid) and |left − warped right| [grey levels], (h, w) float32."""
+    """Refined disparities [px] (anything where not valid), and how unlike the eyes are there, both (h, w) float32.
+
+    `residual` is the standard deviation of left − warped right over the window [grey levels].
+    """
 
     values: F32
     residual: F32
 
 
-def refine(images: Crop, filled: F32, around: Support, brightness: np.float32) -> Refined:
-    """One Gauss-Newton step of Lucas and Kanade's (1981) registration for each pixel.
+def refine(images: Crop, filled: F32, around: Support) -> Refined:
+    """One Gauss-Newton step of Lucas and Kanade's (1981) registration for each pixel, whatever the eyes' brightness.
 
-    With I_L(x) = I_R(x − d − δ) in a window, δ = −Σ g·r / Σ g², where r = I_L(x) − γ·I_R(x − d), g = ∂I_L/∂x and γ the
-    ratio of the eyes' brightness. Each pixel of the window is warped by its own disparity, so a slanted surface causes
-    no bias. Averaging over pixels of one surface before and after lowers the noise.
+    In a window I_L(x, y) = I_R(x − d − δ, y − ε) + c, with unknown shifts δ along the row and ε across it and unknown
+    offset c: the last two are eliminated, since exposure, vignetting and a residue of rectification would else be taken
+    for depth. Each pixel of the window is warped by its own disparity, so a slanted surface causes no bias. A step that
+    does not make the windows more alike is not taken. Averaging over pixels of one surface before and after lowers the
+    noise.
 
     Parameters
     ----------
@@ -51,46 +57,49 @@ def refine(images: Crop, filled: F32, around: Support, brightness: np.float32) -
         Disparity in the crop [px], 0 where it is not valid.
     around : Support
         Where there is a disparity.
-    brightness : float
-        γ, from `brightness_ratio`.
     """
-    start = windows.smooth(filled, around, BEFORE_STEP_PX)
-    left = images.inner.astype(np.float32)
-    gradient = windows.horizontal_gradient(left)
-    residual = warp(images, start)
-    residual *= -brightness
-    residual += left
-    residual *= around.weight
-    slope = windows.total(gradient * residual, PATCH_PX)
-    gradient *= gradient
-    gradient *= around.weight
-    shift = slope / (windows.total(gradient, PATCH_PX) + np.float32(NOISE * PATCH_PX**2))
-    start -= np.clip(shift, -MAX_SHIFT_PX, MAX_SHIFT_PX)
-    start *= around.weight
-    return Refined(windows.smooth(start, around, AFTER_STEP_PX), np.abs(residual))
+    start = windows.smooth(filled, around, STEP_PX)
+    count = np.maximum(windows.count(around.valid, PATCH_PX), np.float32(1))
+    before = (images.inner - warp(images, start)) * around.weight
+    moved = (start + _step(images.inner, before, around, count)) * around.weight
+    after = (images.inner - warp(images, moved)) * around.weight
+    unlike, left = _variance(before, count), _variance(after, count)
+    better = np.less(left, unlike).view(np.uint8)
+    values = np.asarray(cv2.copyTo(moved, better, start), np.float32)
+    residual = np.sqrt(np.maximum(np.minimum(left, unlike), np.float32(0)))
+    return Refined(windows.smooth(values, around, STEP_PX), residual)
+
+
+def _step(left: U8, residual: F32, around: Support, count: F32) -> F32:
+    """δ of each pixel [px], from left − warped right (h, w) [grey levels], 0 where not valid."""
+    gx = windows.horizontal_gradient(left) * around.weight
+    gy = windows.vertical_gradient(left) * around.weight
+    each = np.float32(1) / count
+    r, x, y = (windows.total(image, PATCH_PX) * each for image in (residual, gx, gy))
+
+    def moment(one: F32, other: F32, means: F32) -> F32:
+        return windows.total(one * other, PATCH_PX) * each - means
+
+    xr, yr, xy = moment(gx, residual, x * r), moment(gy, residual, y * r), moment(gx, gy, x * y)
+    window = np.float32(PATCH_PX**2) * each
+    xx = moment(gx, gx, x * x) + np.float32(NOISE) * window
+    yy = moment(gy, gy, y * y) + np.float32(ROW_NOISE) * window
+    shift = (yr * xy - xr * yy) / np.maximum(xx * yy - xy * xy, np.float32(1e-3))
+    return np.asarray(np.clip(shift, -MAX_SHIFT_PX, MAX_SHIFT_PX), np.float32)
+
+
+def _variance(residual: F32, count: F32) -> F32:
+    """Variance over the window of a residual (h, w) that is 0 where not valid."""
+    mean = windows.total(residual, PATCH_PX) / count
+    return windows.total(residual * residual, PATCH_PX) / count - mean * mean
 
 
 def warp(images: Crop, disparity: F32) -> F32:
-    """The right image as the left eye would see it, (h, w) float32 [grey levels]."""
+    """The right image as the left eye would see it, but for an offset, (h, w) float32 [grey levels]."""
     right = images.right.astype(np.float32)
     x, y = images.columns - disparity, _rows(disparity)
-    return np.asarray(cv2.remap(right, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), np.float32)
-
-
-def brightness_ratio(images: Crop, disparity: F32, valid: Mask) -> np.float32:
-    """Left over right brightness of matched pixels.
-
-    Parameters
-    ----------
-    images : Crop
-        Grey images.
-    disparity, valid : (h, w)
-        Disparity in the crop [px], and where there is one.
-    """
-    right = cv2.remap(images.right, images.columns - disparity, _rows(disparity), cv2.INTER_NEAREST)
-    seen = valid.view(np.uint8)
-    left_mean, right_mean = cv2.mean(images.inner, seen)[0], cv2.mean(right, seen)[0]
-    return np.float32(left_mean / right_mean if left_mean and right_mean else 1)
+    laid = np.asarray(cv2.remap(right, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), np.float32)
+    return laid if images.gain == 1 else laid * np.float32(images.gain)
 
 
 def _rows(image: F32) -> F32:

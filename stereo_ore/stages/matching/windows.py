@@ -57,6 +57,11 @@ def horizontal_gradient(grey: U8 | F32) -> F32:
     return np.asarray(cv2.Sobel(grey, cv2.CV_32F, 1, 0, ksize=1, scale=0.5), np.float32)
 
 
+def vertical_gradient(grey: U8 | F32) -> F32:
+    """Central difference along the columns [grey levels a px], (h, w)."""
+    return np.asarray(cv2.Sobel(grey, cv2.CV_32F, 0, 1, ksize=1, scale=0.5), np.float32)
+
+
 def texture(grey: U8) -> F32:
     """Root mean square of the horizontal gradient in a window [grey levels a px], (h, w)."""
     gradient = horizontal_gradient(grey)
