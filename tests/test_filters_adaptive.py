@@ -10,6 +10,7 @@ from stereo_ore.bench import filters as bench
 from stereo_ore.bench.baselines import CONTENDERS
 from stereo_ore.bench.labelled import LabelledCloud, bare_cloud, paper_clouds, scene_stereo
 from stereo_ore.config import FilterConfig
+from stereo_ore.errors import ConfigError
 from stereo_ore.filters.adaptive import run_passes
 from stereo_ore.filters.evidence import DENSITY_FEATURES, gather
 from stereo_ore.filters.scorer import Scorer, load
@@ -140,7 +141,7 @@ def test_scorer_survives_its_file_and_its_equation() -> None:
 def test_scorer_of_other_features_is_refused() -> None:
     evidence = gather(bare_cloud(paper_cloud(0)[0][:200]).xyz, 16)
     assert evidence.names[: len(DENSITY_FEATURES)] == DENSITY_FEATURES
-    with pytest.raises(ValueError, match="other features"):
+    with pytest.raises(ConfigError, match="other features"):
         run_passes(evidence, load("stereo"))
 
 

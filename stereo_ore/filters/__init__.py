@@ -26,8 +26,11 @@ from stereo_ore.errors import ConfigError
 from stereo_ore.filters.adaptive import adaptive
 from stereo_ore.filters.baselines import lof, none, radius, statistical
 from stereo_ore.filters.closed_form import closed_form
+from stereo_ore.filters.like import PROGRAMS, apply_like
 from stereo_ore.filters.paper import paper
 from stereo_ore.types import F32, FilterResult, Mask, VoxelCloud
+
+__all__ = ["METHODS", "PROGRAMS", "Method", "apply", "apply_like", "parameters", "prepared"]
 
 
 @dataclass(frozen=True)
