@@ -107,7 +107,7 @@ def test_bad_cost_files(labelled_csv: Path, tmp_path: Path, text: str, words: st
 
 
 def test_training_learns_and_repeats(monkeypatch: pytest.MonkeyPatch) -> None:
-    recipe = scorers.Recipe(2 * ((scorers.Fit(8), scorers.Fit(8, 19)),), 700, 30, 0.4)
+    recipe = scorers.Recipe(2 * ((scorers.Fit(8, 19), scorers.Fit(8, 19)),), 700, 30, 0.4)
     monkeypatch.setitem(scorers.RECIPES, "geometry", recipe)
     clouds = [cloud(seed) for seed in range(3)]
     scorer = scorers.train(clouds, "geometry")

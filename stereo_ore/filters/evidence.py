@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from stereo_ore.filters.neighbours import Index, Neighbours, by_neighbour, columns, search
+from stereo_ore.filters.neighbours import Index, by_neighbour, columns, search
 from stereo_ore.filters.surface import LEAST, SCALES, Voters, fit_planes, log_odds
 from stereo_ore.threads import map_rows, pool
 from stereo_ore.types import F32
@@ -91,39 +91,43 @@ class BareEvidence:
         judged again that it was not `SURE` of.
         """
         weight, odds = 1 - noise, log_odds(noise)
-        rows = np.arange(len(noise)) if number == 0 else np.flatnonzero((noise > SURE) & (noise < 1 - SURE))
+        every = number == 0
+        rows = np.arange(len(noise)) if every else np.flatnonzero((noise > SURE) & (noise < 1 - SURE))
         planes = fit_planes(self.points, self.index, weight, self.points)
         scales = vote_scales(np.exp(planes.shape[:, 0]), weight)
         voters = Voters.of(self.points, weight, planes)
         rough = mean_of(weight * planes.shape[:, 0], self.index) / (mean_of(weight, self.index) + np.float32(1e-3))
 
         def table(part: slice) -> F32:
-            at = rows[part]
+            at = part if every else rows[part]
             near = by_neighbour(self.index, at)
-            own = columns(self.density[at], planes.shape[at], voters.votes(near, self.points[at], scales))
+            own = (self.density[at], planes.shape[at], voters.votes(near, self.points[at], scales))
             thick = planes.shape[:, 2].take(near).mean(0)
             compared = self._compared(at, planes.shape, rough[at], rough.take(near).mean(0), thick)
-            return columns(own, odds[at], odds.take(near).mean(0), compared)
+            return columns(*own, odds[at], odds.take(near).mean(0), *compared)
 
         return Questions(rows, self._whole(planes.shape, noise, odds, scales), table)
 
-    def _compared(self, at: Rows, shape: F32, rough: F32, rough2: F32, thick2: F32) -> F32:
-        """`NEAR_FEATURES` (n, 8): the point against its neighbours, and both against the spacing around."""
+    def _compared(self, at: Rows | slice, shape: F32, rough: F32, rough2: F32, thick2: F32) -> tuple[F32, ...]:
+        """`NEAR_FEATURES`, each (n,): the point against its neighbours, and both against the spacing around."""
         residual, thick, here = shape[at, 0], shape[at, 2], self.here[at]
         d3, d8 = self.density[at, 0], self.density[at, 1]
-        return columns(residual - rough, residual - rough2, d8 - here, d3 - here,
-                       rough2 - here, thick2 - here, thick - thick2, residual - here)  # fmt: skip
+        return (
+            residual - rough, residual - rough2, d8 - here, d3 - here,
+            rough2 - here, thick2 - here, thick - thick2, residual - here,
+        )  # fmt: skip
 
     def _whole(self, shape: F32, noise: F32, odds: F32, scales: tuple[float, float]) -> F32:
         """`WHOLE_FEATURES` (19,), over all points, so that their order does not matter."""
+        d8, here = self.density[:, 1], self.here
         spread = (
-            (shape[:, 0] - self.here, RESIDUAL_AT),
-            (self.density[:, 1] - self.here, DENSITY_AT),
-            (shape[:, 2] - self.here, THICKNESS_AT),
-            (odds, ODDS_AT),
+            lambda: quantiles(shape[:, 0] - here, RESIDUAL_AT),
+            lambda: quantiles(d8 - here, DENSITY_AT),
+            lambda: quantiles(shape[:, 2] - here, THICKNESS_AT),
+            lambda: quantiles(odds, ODDS_AT),
         )
-        found = pool().map(lambda item: quantiles(*item), spread)
-        return np.array([*np.concatenate(list(found)), noise.mean(dtype=np.float64), np.log(scales[0])], np.float32)
+        found = np.concatenate(list(pool().map(lambda item: item(), spread)))
+        return np.array([*found, noise.mean(dtype=np.float64), np.log(scales[0])], np.float32)
 
 
 def quantiles(values: F32, at: tuple[float, ...]) -> F32:
@@ -157,13 +161,15 @@ def gather(xyz: F32, k: int) -> BareEvidence:
     The first noise probability is 1 − min(1, (s/d(8))³).
     """
     neighbours = search(xyz, k)
-    means = mean_distances(neighbours.distance)
+    means, index = mean_distances(neighbours.distance), neighbours.index
+    # Of a large cloud the distances are among the greatest arrays that there are.
+    del neighbours
     spacing = max(float(np.quantile(means[:, 1], 0.2)), float(np.finfo(np.float32).tiny))
-    density = _density(neighbours, means / np.float32(spacing))
+    density = _density(index, means / np.float32(spacing))
     prior = 1 - np.minimum(1, np.exp(-3 * density[:, 1]))
     points = columns((xyz - np.median(xyz, axis=0)) / spacing)
-    here = mean_of(density[:, DENSITY_FEATURES.index("neighbours' mean distance, least")], neighbours.index)
-    return BareEvidence(points, neighbours.index, density, prior, here)
+    here = mean_of(density[:, DENSITY_FEATURES.index("neighbours' mean distance, least")], index)
+    return BareEvidence(points, index, density, prior, here)
 
 
 def mean_distances(distance: F32) -> F32:
@@ -176,11 +182,10 @@ def mean_of(values: F32, index: Index) -> F32:
     return map_rows(lambda rows: values.take(by_neighbour(index, rows)).mean(0), len(index))
 
 
-def _density(neighbours: Neighbours, means: F32) -> F32:
+def _density(index: Index, means: F32) -> F32:
     """Density features (M, 8) from mean distances (M, 3) in spacings."""
-    index = neighbours.index
     own = np.log(means + np.float32(LEAST))
-    chosen = (np.bincount(index.ravel("K"), minlength=len(index)) / neighbours.k).astype(np.float32)
+    chosen = (np.bincount(index.ravel("K"), minlength=len(index)) / index.shape[1]).astype(np.float32)
 
     def around(rows: slice) -> F32:
         near = by_neighbour(index, rows)

@@ -115,14 +115,14 @@ def _null_vector(a: F64, b: F64, c: F64, d: F64, e: F64, f: F64) -> F64:
 
 @dataclass(frozen=True)
 class Voters:
-    """What points say of others by their planes: (N, 8) of unit normal, height, weight and place."""
+    """What points say of others by their planes: eight columns (N,) of unit normal, height, weight and place."""
 
-    table: F32
+    table: tuple[F32, ...]
 
     @classmethod
     def of(cls, x: F32, weight: F32, planes: Planes) -> Voters:
         """Points (N, 3) with their weights (N,) and planes."""
-        return cls(columns(planes.normal, planes.height, weight, x))
+        return cls((*planes.normal.T, planes.height, weight, *x.T))
 
     def votes(self, near: Index, own: F32, scales: tuple[float, float] = SCALES) -> F32:
         """How well points `own` (n, 3) lie on the planes of their neighbours `near` (k, n), (n, 3) logarithms.
@@ -130,7 +130,7 @@ class Voters:
         With r_j = |n_j·(x_i − x_j) − h_j|: Σ w_j / (1 + (r_j/s)²) for either scale s, and Σ w_j r_j / Σ w_j.
         On an edge the planes of its own side speak for a point, where one plane through both sides would not.
         """
-        nx, ny, nz, height, w, x, y, z = (column.take(near) for column in self.table.T)
+        nx, ny, nz, height, w, x, y, z = (column.take(near) for column in self.table)
         nx *= own[:, 0] - x
         ny *= own[:, 1] - y
         nz *= own[:, 2] - z
