@@ -32,7 +32,7 @@ def tune(
     cloud: Annotated[
         list[Path] | None, typer.Option(help="Labelled cloud [m] with a column noise; else synthetic ones.")
     ] = None,
-    seeds: Annotated[int, typer.Option(min=1, max=500, help="Seeds of synthetic clouds, from 100 on.")] = 2,
+    seeds: Annotated[int, typer.Option(min=0, max=500, help="Seeds of synthetic clouds, from 100 on.")] = 2,
     cost: Annotated[Path | None, typer.Option(help="YAML: weights of precision, recall and retention.")] = None,
     train: Annotated[
         str | None,

@@ -31,7 +31,8 @@ class Fit:
 class Recipe:
     """How a scorer is fitted: for each pass the networks that it is the mean of (`network.average`).
 
-    Each cloud gives `sample` points to learn from; `threshold` and `most_lost` are the scorer's.
+    Each cloud gives `sample` points to learn from, and of its noise at least `noise` points where it has them: where
+    one point of a hundred is noise, a sample would hardly show it. `threshold` and `most_lost` are the scorer's.
     """
 
     passes: tuple[tuple[Fit, ...], ...]
@@ -39,11 +40,12 @@ class Recipe:
     epochs: int
     threshold: float
     most_lost: float | None = None
+    noise: int = 0
 
 
 RECIPES = {
     # The network that does without the whole cloud knows clumps beside a smooth surface better, that with it all else.
-    "geometry": Recipe(3 * ((Fit(32), Fit(32, len(WHOLE_FEATURES))),), 1500, 10, 0.4),
+    "geometry": Recipe(3 * ((Fit(32), Fit(32, len(WHOLE_FEATURES))),), 1500, 10, 0.5, noise=100),
     # Two fits of one recipe differ by 0.03 of F1 on sets not seen; several hardly do.
     "stereo": Recipe((3 * (Fit(32),), 4 * (Fit(40),)), 4000, 12, 0.35, 0.06),
 }
@@ -64,7 +66,7 @@ class Lesson:
 def lessons(clouds: Iterable[LabelledCloud], kind: str, seed: int = 0) -> list[Lesson]:
     """What there is to learn from clouds, all with cues or all without; `seed` is that of the sample."""
     rng = np.random.default_rng(seed)
-    return [_lesson(labelled, RECIPES[kind].sample, rng) for labelled in clouds]
+    return [_lesson(labelled, RECIPES[kind], rng) for labelled in clouds]
 
 
 def train(clouds: Iterable[LabelledCloud], kind: str, seed: int = 0) -> Scorer:
@@ -89,11 +91,13 @@ def fit(learned: Sequence[Lesson], kind: str, seed: int = 0) -> Scorer:
     return Scorer(list(learned[0].evidence.names), passes, recipe.threshold, recipe.most_lost)
 
 
-def _lesson(labelled: LabelledCloud, sample: int, rng: np.random.Generator) -> Lesson:
+def _lesson(labelled: LabelledCloud, recipe: Recipe, rng: np.random.Generator) -> Lesson:
     voxels, rows = filters.prepared(labelled.voxels)
     judged = np.arange(len(rows)) if labelled.judged is None else np.flatnonzero(labelled.judged[rows])
-    chosen, evidence = rng.permutation(judged)[:sample], look(voxels, AdaptiveParams().k)[1]
-    return Lesson(labelled.name, labelled.cell, evidence, labelled.is_noise[rows], judged, chosen)
+    order, is_noise = rng.permutation(judged), labelled.is_noise[rows]
+    chosen = np.union1d(order[: recipe.sample], order[is_noise[order]][: recipe.noise])
+    evidence = look(voxels, AdaptiveParams().k)[1]
+    return Lesson(labelled.name, labelled.cell, evidence, is_noise, judged, chosen)
 
 
 def _examples(lesson: Lesson, noise: F32, number: int) -> tuple[F32, Mask]:
