@@ -11,8 +11,9 @@ import numpy as np
 from stereo_ore.threads import chunks, map_rows
 from stereo_ore.types import F32
 
-SMALL = 128
-"""Rows of a matrix product: few enough that the linear algebra library doesn't start threads, which cost far more."""
+SMALL = 2**18
+"""Multiplications of a matrix product: few enough that the linear algebra library doesn't start threads of its own,
+which cost far more."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,8 @@ class Network:
     def judge(self, features: F32) -> F32:
         """Probability (n,) of few (n, F) features, on the calling thread."""
         weights, bias, out = self._arrays
-        hidden = np.concatenate([features[few] @ weights for few in chunks(len(features), SMALL)])
+        rows = max(SMALL // weights.size, 1)
+        hidden = np.concatenate([features[few] @ weights for few in chunks(len(features), rows)])
         logit = np.einsum("ij,j->i", np.maximum(hidden + bias, 0), out) + np.float32(self.output_bias)
         return np.asarray(1 / (1 + np.exp(-np.clip(logit, -30, 30))), np.float32)
 

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from stereo_ore.threads import pool
 from stereo_ore.types import (
@@ -54,8 +55,7 @@ def look_around(voxels: VoxelCloud, disparity: Disparity, pair: RectifiedPair) -
     """
     if not len(voxels) or not set(CUES) <= set(disparity.cues):
         return voxels
-    y, x = _pixels(voxels, disparity, pair)
-    small = (y // STEP, x // STEP)
+    small = _cells(voxels, disparity, pair)
     values = disparity.values[disparity.region.slices]
     seen = np.isfinite(values)
     d = np.where(seen, values, np.float32(0))
@@ -74,78 +74,78 @@ def look_around(voxels: VoxelCloud, disparity: Disparity, pair: RectifiedPair) -
 
 
 Found = Iterator[tuple[str, F32]]
-At = tuple[np.ndarray, np.ndarray]
+Index = npt.NDArray[np.intp]
 
 
-def _pixels(voxels: VoxelCloud, disparity: Disparity, pair: RectifiedPair) -> At:
-    """Row and column, within the matched region, of the pixels on which voxels lie."""
+def _cells(voxels: VoxelCloud, disparity: Disparity, pair: RectifiedPair) -> Index:
+    """Places of the voxels, within the matched region, in the reduced copy laid out flat."""
     region = disparity.region
-    u, v = np.rint(pair.rig.project(voxels.xyz)).astype(np.int32).T
-    return (
-        np.clip(v - region.y0, 0, region.y1 - region.y0 - 1),
-        np.clip(u - region.x0, 0, region.x1 - region.x0 - 1),
-    )
+    height, width = region.y1 - region.y0, region.x1 - region.x0
+    u, v = np.rint(pair.rig.project(voxels.xyz)).astype(np.intp).T
+    row, column = np.clip(v - region.y0, 0, height - 1) // STEP, np.clip(u - region.x0, 0, width - 1) // STEP
+    return np.asarray(row * -(-width // STEP) + column)
 
 
-def _doubts(disparity: Disparity, at: At) -> Found:
+def _doubts(disparity: Disparity, at: Index) -> Found:
     """Means of the pixel cues over all pixels of the windows, known or not."""
     for name in PIXEL_CUES:
         image = _reduce(_plain(disparity.cues[name]))
-        yield from ((f"{name}_around_{size}", _mean(image, size)[at]) for size in CONTEXT_WINDOWS_PX)
+        yield from ((f"{name}_around_{size}", _mean(image, size).take(at)) for size in CONTEXT_WINDOWS_PX)
 
 
-def _doubts_of_known(disparity: Disparity, seen: F32, known: F32, at: At) -> Found:
+def _doubts_of_known(disparity: Disparity, seen: F32, known: F32, at: Index) -> Found:
     """Means of logarithms of cues over the pixels with a disparity, and their share."""
     share = {size: _mean(known, size) for size in CONTEXT_WINDOWS_PX}
     for name in KNOWN_CUES:
         cue = _plain(disparity.cues[name])
         image = _reduce(np.where(seen, cue if name.startswith("support") else _log(cue), np.float32(0)))
         yield from (
-            (f"{name}_known_{size}", (_mean(image, size) / (share[size] + UNKNOWN))[at]) for size in CONTEXT_WINDOWS_PX
+            (f"{name}_known_{size}", _mean(image, size).take(at) / (share[size].take(at) + UNKNOWN))
+            for size in CONTEXT_WINDOWS_PX
         )
-    yield from ((f"known_{size}", share[size][at]) for size in CONTEXT_WINDOWS_PX)
+    yield from ((f"known_{size}", share[size].take(at)) for size in CONTEXT_WINDOWS_PX)
 
 
-def _depth(d: F32, known: F32, own: F32, at: At) -> Found:
+def _depth(d: F32, known: F32, own: F32, at: Index) -> Found:
     """The voxel's disparity against mean and deviation of those around."""
     middle = np.float32(np.median(own))
     first, second = _reduce(np.where(d > 0, d - middle, 0)), _reduce(np.where(d > 0, (d - middle) ** 2, 0))
     for size in CONTEXT_WINDOWS_PX:
-        total = _mean(known, size) + UNKNOWN
-        mean = (_mean(first, size) / total)[at]
-        deviation = np.sqrt(np.maximum((_mean(second, size) / total)[at] - mean * mean, 0))
+        total = _mean(known, size).take(at) + UNKNOWN
+        mean = _mean(first, size).take(at) / total
+        deviation = np.sqrt(np.maximum(_mean(second, size).take(at) / total - mean * mean, 0))
         off = own - middle - mean
         yield f"off_{size}", np.copysign(np.log1p(np.abs(off)), off)
         yield f"deviation_{size}", np.log(deviation + FLOOR_PX)
         yield f"off_in_deviations_{size}", off / (deviation + np.float32(0.3))
 
 
-def _steps(d: F32, seen: F32, own: F32, at: At) -> Found:
+def _steps(d: F32, seen: F32, own: F32, at: Index) -> Found:
     """How much nearer and farther things lie around: beside an edge is the shadow that only one eye sees."""
-    cell = np.ones((STEP, STEP), np.uint8)
-    nearest = cv2.dilate(np.where(seen, d, -FAR_PX), cell)[STEP // 2 :: STEP, STEP // 2 :: STEP]
-    farthest = cv2.erode(np.where(seen, d, FAR_PX), cell)[STEP // 2 :: STEP, STEP // 2 :: STEP]
-    at = (np.minimum(at[0], len(nearest) - 1), np.minimum(at[1], nearest.shape[1] - 1))
+    nearest, farthest = (
+        _extreme(np.where(seen, d, -FAR_PX), np.maximum),
+        _extreme(np.where(seen, d, FAR_PX), np.minimum),
+    )
     for size in CONTEXT_REACH_PX:
         box = np.ones((size // STEP | 1, size // STEP | 1), np.uint8)
-        yield f"nearer_{size}", np.log1p(np.clip(cv2.dilate(nearest, box)[at] - own, 0, 200))
-        yield f"farther_{size}", np.log1p(np.clip(own - cv2.erode(farthest, box)[at], 0, 200))
+        yield f"nearer_{size}", np.log1p(np.clip(cv2.dilate(nearest, box).take(at) - own, 0, 200))
+        yield f"farther_{size}", np.log1p(np.clip(own - cv2.erode(farthest, box).take(at), 0, 200))
 
 
-def _light(pair: RectifiedPair, disparity: Disparity, at: At) -> Found:
+def _light(pair: RectifiedPair, disparity: Disparity, at: Index) -> Found:
     """Gradients along and across rows, and brightness."""
     grey = np.asarray(cv2.cvtColor(pair.left[disparity.region.slices], cv2.COLOR_BGR2GRAY))
     for axis, dx in (("u", 1), ("v", 0)):
         steep = _reduce(np.abs(cv2.Scharr(grey, cv2.CV_32F, dx, 1 - dx) * np.float32(1 / 32)))
         yield from (
-            (f"gradient_{axis}_{size}", np.log(_mean(steep, size)[at] + np.float32(0.3)))
+            (f"gradient_{axis}_{size}", np.log(_mean(steep, size).take(at) + np.float32(0.3)))
             for size in (7, *CONTEXT_WINDOWS_PX[:2])
         )
-    yield "brightness", np.log(_mean(_reduce(grey.astype(np.float32)), 9)[at] + np.float32(3))
+    yield "brightness", np.log(_mean(_reduce(grey.astype(np.float32)), 9).take(at) + np.float32(3))
 
 
 def _plain(cue: F32) -> F32:
-    return np.nan_to_num(cue, nan=0.0, posinf=0.0, neginf=0.0)
+    return np.where(np.isfinite(cue), cue, np.float32(0))
 
 
 def _log(cue: F32) -> F32:
@@ -153,10 +153,22 @@ def _log(cue: F32) -> F32:
 
 
 def _reduce(image: F32) -> F32:
-    """Means over squares of `STEP` pixels; the last row and column take what remains."""
+    """Means over squares of `STEP` pixels; those at the right and the lower rim repeat their last pixels."""
+    return np.asarray(cv2.resize(_padded(image), None, fx=1 / STEP, fy=1 / STEP, interpolation=cv2.INTER_AREA))
+
+
+def _extreme(image: F32, of: np.ufunc) -> F32:
+    """Least or greatest values of squares of `STEP` pixels."""
+    height, width = (image := _padded(image)).shape
+    rows = of.reduce(image.reshape(height // STEP, STEP, width), axis=1)
+    return np.asarray(of.reduce([rows[:, column::STEP] for column in range(STEP)], axis=0))
+
+
+def _padded(image: F32) -> F32:
     height, width = image.shape
-    padded = cv2.copyMakeBorder(image, 0, -height % STEP, 0, -width % STEP, cv2.BORDER_REPLICATE)
-    return np.asarray(cv2.resize(padded, None, fx=1 / STEP, fy=1 / STEP, interpolation=cv2.INTER_AREA), np.float32)
+    if height % STEP == width % STEP == 0:
+        return image
+    return np.asarray(cv2.copyMakeBorder(image, 0, -height % STEP, 0, -width % STEP, cv2.BORDER_REPLICATE))
 
 
 def _mean(image: F32, size: int) -> F32:

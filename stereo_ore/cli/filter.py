@@ -65,8 +65,8 @@ def filter_(
     adaptive: surfaces with outliers at, or not far from, them, at any density and roughness, and clouds that are clean.
     closed-form: the same without anything learned; weaker on outliers close to a surface. paper, paper-tuned: the
     published filter, for comparison. statistical, radius: sparse outliers far from a surface of even density (k and n
-    don't count the point itself). lof: the same where density varies. Dense sheets and clumps that look like a surface
-    are noise to none of them.
+    don't count the point itself). lof: the same where density varies. Sheets of points
+    beside a surface are noise to none of them.
 
     Example: `stereo-ore filter scan.ply clean.ply --method adaptive --keep-noise noise.ply --picture factors.png`
     """
