@@ -120,11 +120,26 @@ def test_networks_average_by_their_log_odds_and_take_known_features() -> None:
     np.testing.assert_allclose(known, both.probability(features), rtol=1e-5)
 
 
-def test_the_decision_bounds_the_good_points_that_are_foretold_to_go() -> None:
-    noise = np.array([0.9, 0.8, 0.6, 0.5, 0.1, 0.0], np.float32)
+def foretold(noise: np.ndarray, threshold: float) -> tuple[float, float]:
+    """F1, and the share of good points lost, that probabilities foretell."""
+    gone = noise[noise > threshold]
+    return 2 * gone.sum() / (len(gone) + noise.sum()), (1 - gone).sum() / (1 - noise).sum()
+
+
+@pytest.mark.parametrize("most_lost", [0.02, 0.06, 1.0])
+@pytest.mark.parametrize("power", [1.0, 3.0, 8.0])
+def test_the_decision_has_the_greatest_f1_foretold_that_spares_the_good(most_lost: float, power: float) -> None:
+    noise = (np.random.default_rng(0).random(400) ** power).astype(np.float32)
+    threshold = Scorer([], [], 0.2, most_lost).decide(noise)
+    f1, lost = foretold(noise, threshold)
+    assert lost <= most_lost
+    assert threshold >= 0.2
+    others = [foretold(noise, t) for t in [0.2, *noise[noise > 0.2]]]
+    assert f1 == pytest.approx(max(other for other, gone in others if gone <= most_lost))
+
+
+def test_the_decision_without_a_bound_or_without_noise_is_the_threshold() -> None:
+    noise = np.array([0.9, 0.6, 0.1], np.float32)
     assert Scorer([], [], 0.35).decide(noise) == 0.35
-    # Of 3.1 good points foretold, 0.1 + 0.2 + 0.4 go above a half, and 0.3 above 0.6.
-    assert Scorer([], [], 0.35, 0.7 / 3.1 + 0.001).decide(noise) == pytest.approx(0.5)
-    assert Scorer([], [], 0.35, 0.5 / 3.1).decide(noise) == pytest.approx(0.6)
-    assert Scorer([], [], 0.35, 1.0).decide(noise) == 0.35
+    assert Scorer([], [], 0.35, 0.06).decide(noise[2:]) == 0.35
     assert Scorer([], [], 0.35, 0.06).decide(noise[:0]) == 0.35
