@@ -46,7 +46,7 @@ def of_stereo(scorer: Scorer, learned: Sequence[scorers.Lesson]) -> Scorer:
     """A scorer with its origin: fits to other sets judge it on each real set as it is."""
     cells = sorted({lesson.cell for lesson in learned if lesson.name != lesson.cell})
     figures: dict[str, Any] = {}
-    for fold in range(min(FOLDS, len(cells))):
+    for fold in range(FOLDS if len(cells) >= FOLDS else 0):
         out = set(cells[fold::FOLDS])
         other = scorers.fit([lesson for lesson in learned if lesson.cell not in out], "stereo")
         figures |= {lesson.name: _judged(other, lesson) for lesson in learned if lesson.cell in out}
