@@ -10,6 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from stereo_ore import surroundings
 from stereo_ore.config import Config
 from stereo_ore.errors import FrameError
 from stereo_ore.io.recordings import Source
@@ -156,7 +157,7 @@ def _cloud(result: FrameResult, context: Context) -> FrameResult:
 def _voxels(result: FrameResult, context: Context) -> FrameResult:
     points, disparity, rig = _have(result.cloud), _have(result.disparity), context.rectifier.rig
     size_m = voxels.voxel_size(context.config.voxel, rig, context.site.volume, points)
-    grid = voxels.voxelise(points, disparity, rig, size_m)
+    grid = surroundings.look_around(voxels.voxelise(points, disparity, rig, size_m), disparity, _have(result.pair))
     return _count(replace(result, voxels=grid), voxels=len(grid))
 
 

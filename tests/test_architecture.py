@@ -8,7 +8,19 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).parents[1] / "stereo_ore"
-STAGES = ("rectify", "matching", "cloud", "voxels", "filters", "grizzly", "segment", "solid", "strike", "order")
+STAGES = (
+    "rectify",
+    "matching",
+    "cloud",
+    "voxels",
+    "surroundings",
+    "filters",
+    "grizzly",
+    "segment",
+    "solid",
+    "strike",
+    "order",
+)
 SHARED = ("types", "config", "errors", "transforms", "planes", "threads", "network")
 HEAVY = ("open3d", "sklearn", "matplotlib", "plotly", "scipy.spatial", "pydantic", "cv2", "numpy")
 
