@@ -25,6 +25,7 @@ from stereo_ore.stages import (
     segment,
     solid,
     strike,
+    surroundings,
     voxels,
 )
 from stereo_ore.threads import pool
@@ -93,7 +94,8 @@ class Chain:
         trace.check(health.eye_doubts, eyes, disparity, config.health)
         points = trace.reached("cloud", self._cloud(disparity, eyes))
         size_m = voxels.voxel_size(config.voxel, self.rig, site.volume, points)
-        grid = trace.reached("voxels", voxels.voxelise(points, disparity, self.rig, size_m))
+        grid = voxels.voxelise(points, disparity, self.rig, size_m)
+        grid = trace.reached("voxels", surroundings.look_around(grid, disparity, eyes))
         filtered = trace.reached("filter", filters.apply(grid, config.filter))
         kept = filtered.keep[grid.inverse]
         surface = trace.reached("surface", cloud.surface(points, kept, eyes, disparity.region))

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from stereo_ore.threads import chunks, map_rows
 from stereo_ore.types import F32
 
-SMALL = 128
-"""Rows of a matrix product: few enough that the linear algebra library doesn't start threads, which cost far more."""
+SMALL = 2**18
+"""Multiplications of a matrix product: few enough that the linear algebra library doesn't start threads of its own,
+which cost far more."""
 
 
 WIDE = 512
@@ -31,18 +33,15 @@ class Network:
 
     def probability(self, features: F32) -> F32:
         """Probability (M,) of (M, F) features."""
-        scale = 1 / np.array(self.scale, np.float32)
-        weights = np.array(self.hidden_weights, np.float32) * scale[:, None]
-        bias = np.array(self.hidden_bias, np.float32) - np.array(self.mean, np.float32) @ weights
-        out = np.array(self.output_weights, np.float32)
+        return map_rows(lambda rows: self.judge(features[rows]), len(features))
 
-        def rows(part: slice) -> F32:
-            block = features[part]
-            hidden = np.concatenate([block[few] @ weights for few in chunks(len(block), SMALL)])
-            logit = np.einsum("ij,j->i", np.maximum(hidden + bias, 0), out) + np.float32(self.output_bias)
-            return np.asarray(1 / (1 + np.exp(-np.clip(logit, -30, 30))), np.float32)
-
-        return map_rows(rows, len(features))
+    def judge(self, features: F32) -> F32:
+        """Probability (n,) of few (n, F) features, on the calling thread."""
+        weights, bias, out = self._arrays
+        rows = max(SMALL // weights.size, 1)
+        hidden = np.concatenate([features[few] @ weights for few in chunks(len(features), rows)])
+        logit = np.einsum("ij,j->i", np.maximum(hidden + bias, 0), out) + np.float32(self.output_bias)
+        return np.asarray(1 / (1 + np.exp(-np.clip(logit, -30, 30))), np.float32)
 
     def map(self, images: Sequence[F32]) -> F32:
         """Probability (h, w) of each pixel of F images (h, w), one feature each."""
@@ -57,3 +56,39 @@ class Network:
             np.dot(out, np.maximum(hidden, 0, out=hidden), out=logit[few])
         logit += last
         return np.asarray(1 / (1 + np.exp(-np.clip(logit, -30, 30))), np.float32).reshape(images[0].shape)
+
+    def given(self, values: F32) -> Network:
+        """The network whose last features are known to be `values`: their share goes into the bias."""
+        own = len(self.mean) - len(values)
+        share = (
+            (values - np.array(self.mean[own:]))
+            / self.scale[own:]
+            @ np.reshape(self.hidden_weights[own:], (len(values), len(self.hidden_bias)))
+        )
+        bias = (self.hidden_bias + share).tolist()
+        return replace(
+            self,
+            mean=self.mean[:own],
+            scale=self.scale[:own],
+            hidden_weights=self.hidden_weights[:own],
+            hidden_bias=bias,
+        )
+
+    @cached_property
+    def _arrays(self) -> tuple[F32, F32, F32]:
+        """Weights (F, H) and bias (H,) of features as they come, and weights (H,) of the units."""
+        weights = np.array(self.hidden_weights) / np.array(self.scale)[:, None]
+        bias = np.array(self.hidden_bias) - np.array(self.mean) @ weights
+        return weights.astype(np.float32), bias.astype(np.float32), np.array(self.output_weights, np.float32)
+
+
+def average(networks: Sequence[Network]) -> Network:
+    """One network with the units of all, whose log odds are the mean of theirs; they share mean and scale."""
+    weights = np.concatenate([network.hidden_weights for network in networks], axis=1)
+    return replace(
+        networks[0],
+        hidden_weights=weights.tolist(),
+        hidden_bias=[bias for network in networks for bias in network.hidden_bias],
+        output_weights=[weight / len(networks) for network in networks for weight in network.output_weights],
+        output_bias=sum(network.output_bias for network in networks) / len(networks),
+    )

@@ -34,9 +34,20 @@ def _pool(threads: int) -> ThreadPoolExecutor:
 def map_rows(function: Callable[[slice], npt.NDArray[Scalar]], length: int) -> npt.NDArray[Scalar]:
     """What `function` gives for consecutive chunks of rows, one after the other, computed by all threads.
 
-    A chunk's result doesn't depend on the others, so the number of threads changes nothing.
+    A chunk's result doesn't depend on the others, so the number of threads changes nothing. Columns of the result lie
+    in memory at a stretch.
     """
-    return np.concatenate(each_chunk(function, length))
+    start, *others = chunks(length)
+    first = function(start)
+    # Results go to their place at once: a list of them and their concatenation would take the memory of two.
+    out = np.empty((*first.shape[:0:-1], length), first.dtype).T
+    out[start] = first
+
+    def fill(rows: slice) -> None:
+        out[rows] = function(rows)
+
+    list(pool().map(fill, others))
+    return out
 
 
 def each_chunk(function: Callable[[slice], Result], length: int) -> list[Result]:

@@ -1,8 +1,10 @@
 """``bench filter``: rows, means, tables, README markers."""
 
+import dataclasses
 import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -13,6 +15,9 @@ from stereo_ore.lab.bench import filters as bench
 from stereo_ore.lab.bench import tables
 from stereo_ore.lab.bench.baselines import Contender
 from stereo_ore.lab.bench.labelled import LabelledCloud, bare_cloud, labelled_file, paper_clouds, scene_stereo
+from stereo_ore.lab.bench.real_stereo import WAYS, altered, real_cloud
+from stereo_ore.lab.bench.stereo_sets import StereoSet
+from stereo_ore.types import RectifiedPair, Region, Rig
 
 
 def plane_with_outliers() -> LabelledCloud:
@@ -65,6 +70,59 @@ def test_speed_has_all_three_times() -> None:
     times = bench.speed(plane_with_outliers().voxels, repeats=1)
     assert {"open3d_statistical", "adaptive", "paper"} <= set(times)
     assert all(value > 0 for value in times.values())
+
+
+def test_clean_clouds_are_judged_by_what_is_lost() -> None:
+    rng = np.random.default_rng(0)
+    plane = bare_cloud(np.column_stack([rng.uniform(0, 1, (900, 2)), np.zeros(900)]))
+    labelled = LabelledCloud("plane", "plane", plane, np.zeros(900, bool))
+    (row,) = bench.judge_clean([labelled, labelled])
+    assert set(row) == {"cell", *bench.SHIPPED}
+    assert row["adaptive"] <= 0.01 < 0.3 < row["paper"]
+    assert "| plane |" in tables._clean([row])
+
+
+def test_points_that_can_not_be_judged_count_for_nothing() -> None:
+    labelled = plane_with_outliers()
+    contender = Contender("statistical", "statistical", ({"k": 10},), (1.0,))
+    spoilt = dataclasses.replace(
+        labelled, is_noise=labelled.is_noise ^ (np.arange(930) < 300), judged=np.arange(930) >= 300
+    )
+    row = bench.judge(spoilt, contender)
+    assert row.points == 630
+    assert row.f1 > 0.95
+
+
+def flat_set() -> StereoSet:
+    """A textured wall at 12 px in one half, with no truth in the other."""
+    rng = np.random.default_rng(0)
+    right = cv2.GaussianBlur(rng.integers(0, 255, (120, 200, 3)).astype(np.uint8), (0, 0), 1.2)
+    left = np.roll(right, 12, axis=1)
+    truth = np.full((120, 200), 12, np.float32)
+    truth[:, :60] = np.nan
+    pair = RectifiedPair(left, right, Rig(200, 120, 150.0, 150.0, 100.0, 60.0, 0.1))
+    return StereoSet("wall", pair, truth, Region(0, 0, 200, 120, 0, 32))
+
+
+def test_a_real_set_is_labelled_by_its_true_disparities() -> None:
+    labelled = real_cloud(flat_set())
+    assert labelled.judged is not None
+    u = 100 + 150 * labelled.voxels.xyz[:, 0] / labelled.voxels.xyz[:, 2]
+    assert not labelled.judged[u < 56].any()
+    assert labelled.judged[(u > 64) & (u < 195)].all()
+    assert labelled.is_noise[labelled.judged].mean() < 0.02
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_other_light_keeps_the_scene_and_its_truth(way: str) -> None:
+    found = flat_set()
+    worse = altered(found, way, np.random.default_rng(1))
+    again = altered(found, way, np.random.default_rng(1))
+    np.testing.assert_array_equal(worse.pair.right, again.pair.right)
+    assert (worse.pair.right != found.pair.right).mean() > 0.3
+    grey = [image[..., 1].ravel().astype(float) for image in (worse.pair.left, found.pair.left)]
+    assert np.corrcoef(*grey)[0, 1] > 0.5
+    assert worse.truth is found.truth
 
 
 def test_readme_gets_the_tables_between_its_markers(tmp_path: Path) -> None:

@@ -83,6 +83,18 @@ def test_bad_options(noisy: Path, tmp_path: Path, arguments: tuple[str, ...], wo
     assert not (tmp_path / "out.ply").exists()
 
 
+def test_a_cloud_that_is_nearly_emptied_is_warned_of_with_a_remedy(noisy: Path, tmp_path: Path) -> None:
+    load_verbs()
+    said = {}
+    for method in ("paper", "adaptive"):
+        result = CliRunner().invoke(app, ["filter", str(noisy), str(tmp_path / "out.ply"), "--method", method])
+        assert result.exit_code == 0, result.output
+        said[method] = " ".join(result.output.split())
+    assert "% of the cloud is gone" in said["paper"]
+    assert "a milder --set R=1.4" in said["paper"]
+    assert "is gone" not in said["adaptive"]
+
+
 def test_empty_cloud(tmp_path: Path) -> None:
     path = tmp_path / "empty.npy"
     np.save(path, np.zeros((0, 3)))

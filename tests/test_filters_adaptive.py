@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from stereo_ore.config import FilterConfig
+from stereo_ore.errors import ConfigError
 from stereo_ore.lab.bench import filters as bench
 from stereo_ore.lab.bench.baselines import CONTENDERS
 from stereo_ore.lab.bench.labelled import LabelledCloud, bare_cloud, paper_clouds, scene_stereo
@@ -140,7 +141,7 @@ def test_scorer_survives_its_file_and_its_equation() -> None:
 def test_scorer_of_other_features_is_refused() -> None:
     evidence = gather(bare_cloud(paper_cloud(0)[0][:200]).xyz, 16)
     assert evidence.names[: len(DENSITY_FEATURES)] == DENSITY_FEATURES
-    with pytest.raises(ValueError, match="other features"):
+    with pytest.raises(ConfigError, match="other features"):
         run_passes(evidence, load("stereo"))
 
 

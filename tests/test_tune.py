@@ -10,16 +10,18 @@ import yaml
 from typer.testing import CliRunner
 
 from stereo_ore.cli import app, load_verbs
+from stereo_ore.config import FilterConfig
 from stereo_ore.errors import ConfigError, StereoOreError
 from stereo_ore.io import clouds
 from stereo_ore.io.parameters import load_config
 from stereo_ore.lab import tune
 from stereo_ore.lab.bench.labelled import TUNING_SEED, LabelledCloud, bare_cloud
 from stereo_ore.lab.metrics import FilterQuality, filter_quality
-from stereo_ore.lab.training import scorers
+from stereo_ore.lab.training import bare_clouds, scorers, surfaces
 from stereo_ore.stages import filters
 from stereo_ore.stages.filters.adaptive import run_passes
 from stereo_ore.stages.filters.evidence import gather
+from stereo_ore.stages.filters.scorer import read
 
 
 def cloud(seed: int = 0) -> LabelledCloud:
@@ -107,7 +109,8 @@ def test_bad_cost_files(labelled_csv: Path, tmp_path: Path, text: str, words: st
 
 
 def test_training_learns_and_repeats(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(scorers.EPOCHS, "geometry", 30)
+    recipe = scorers.Recipe(2 * ((scorers.Fit(8, 19), scorers.Fit(8, 19)),), 700, 30, 0.4)
+    monkeypatch.setitem(scorers.RECIPES, "geometry", recipe)
     clouds = [cloud(seed) for seed in range(3)]
     scorer = scorers.train(clouds, "geometry")
     assert scorer == scorers.train(clouds, "geometry")
@@ -117,12 +120,48 @@ def test_training_learns_and_repeats(monkeypatch: pytest.MonkeyPatch) -> None:
     assert quality.f1 > 0.9
 
 
+def test_a_trained_scorer_says_where_it_comes_from_and_is_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    load_verbs()
+    monkeypatch.setitem(scorers.RECIPES, "geometry", scorers.Recipe(((scorers.Fit(4),),), 200, 2, 0.4))
+    monkeypatch.setattr(bare_clouds, "PIECES_A_SEED", 3)
+    result = CliRunner().invoke(app, ["tune", str(tmp_path), "--train", "geometry", "--seeds", "1"])
+    assert result.exit_code == 0, result.output
+    written = read(tmp_path / "geometry.json")
+    assert written.provenance["fitted to"] == {"seeds": [TUNING_SEED, TUNING_SEED], "scans": []}
+    assert set(written.provenance) == {"version", "seed", "fitted to", "left out"}
+    params = {"scorer": str(tmp_path / "geometry.json")}
+    used = filters.apply(cloud().voxels, FilterConfig(params=params))
+    assert used.diagnostics["threshold"] == written.threshold
+    assert not np.array_equal(used.score, filters.apply(cloud().voxels, FilterConfig()).score)
+
+
+def test_a_file_that_is_no_scorer(tmp_path: Path) -> None:
+    (tmp_path / "no.json").write_text('{"passes": []}')
+    for name, words in (("no.json", "is no scorer"), ("absent.json", "can't be read")):
+        with pytest.raises(ConfigError, match=words):
+            filters.apply(cloud().voxels, FilterConfig(params={"scorer": str(tmp_path / name)}))
+
+
+def test_a_good_third_of_what_is_learned_has_no_outlier() -> None:
+    made = list(bare_clouds.bare_clouds(range(TUNING_SEED, TUNING_SEED + 1), []))
+    clean = [c for c in made if not c.is_noise.any()]
+    assert len(made) == bare_clouds.clouds_a_seed()
+    assert len(clean) / len(made) >= 0.35
+
+
+@pytest.mark.parametrize("name", surfaces.SHAPES)
+def test_shapes_to_learn_from_are_pieces_of_some_thousand_points(name: str) -> None:
+    xyz = surfaces.SHAPES[name](np.random.default_rng(1), 2000)
+    assert 500 < len(xyz) <= 5000
+    assert np.isfinite(xyz).all()
+
+
 def test_seeds_of_tuning_and_reporting_are_disjoint() -> None:
     """`bench filter` takes at most a hundred seeds, from 0."""
     assert TUNING_SEED >= 100
 
 
 def test_varied_clouds_differ_from_the_protocol() -> None:
-    varied = scorers._varied(TUNING_SEED, 1)
+    varied = bare_clouds.varied(TUNING_SEED, 1)
     assert 0 < varied.is_noise.mean() < 0.7
     assert len(varied.voxels) < 18_809

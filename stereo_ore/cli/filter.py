@@ -16,11 +16,23 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-MUCH = 40.0
-"""Per cent of the points that are rarely noise."""
 
 LARGEST_M = 30.0
 """A cloud wider than this many units is hardly in metres: then the unit is asked for."""
+
+MILDER = {
+    "adaptive": "threshold=0.6",
+    "closed-form": "threshold=0.99",
+    "paper": "R=1.4",
+    "paper-tuned": "R=1.8",
+    "statistical": "ratio=2",
+    "radius": "spacings=5",
+    "lof": "threshold=2",
+}
+"""What to say for less to be removed."""
+
+MUCH = 0.4
+"""A share removed above this is warned of: few clouds hold so much noise."""
 
 
 def register(app: typer.Typer) -> None:
@@ -41,10 +53,23 @@ def filter_(
     scores: Annotated[Path | None, typer.Option(help="Write keep and score of each point, best .npz or .csv.")] = None,
     keep_noise: Annotated[Path | None, typer.Option(help="Write the removed points too.")] = None,
     picture: Annotated[Path | None, typer.Option(help="Draw the outlier factors; *-kept beside it shows both.")] = None,
+    like: Annotated[
+        str | None,
+        typer.Option(
+            help="Take statistical or radius and their parameters as open3d, pcl, cloudcompare or cars (cars-filter) "
+            "mean them, and keep exactly the points that it keeps."
+        ),
+    ] = None,
 ) -> None:
     """Remove noise from a point cloud.
 
     Coordinates stay as they are in the file; its unit matters for parameters that are lengths.
+
+    adaptive: surfaces with outliers at, or not far from, them, at any density and roughness, and clouds that are clean.
+    closed-form: the same without anything learned; weaker on outliers close to a surface. paper, paper-tuned: the
+    published filter, for comparison. statistical, radius: sparse outliers far from a surface of even density (k and n
+    don't count the point itself). lof: the same where density varies. Sheets of points
+    beside a surface are noise to none of them.
 
     Example: `stereo-ore filter scan.ply clean.ply --method adaptive --keep-noise noise.ply --picture factors.png`
     """
@@ -56,13 +81,17 @@ def filter_(
     config = load_config(
         None, [f"filter.method={method}", *(f"filter.params.{text}" for text in settings or [])]
     ).filter
-    filters.parameters(config)
+    params = filters.parameters(config)
     for path in (out, keep_noise, scores):
         if path:
             _check_output(path, source)
     records, viewpoint = clouds.read(source), clouds.viewpoint(source)
     xyz = clouds.xyz(records)
-    result = filters.apply(bare_cloud(xyz * _metres(source, xyz, unit)), config)
+    metres = _metres(source, xyz, unit)
+    if like is None:
+        result = filters.apply(bare_cloud(xyz * metres), config)
+    else:
+        result = filters.apply_like(like, xyz, params, metres)
     clouds.write(out, records[result.keep], viewpoint)
     if keep_noise:
         clouds.write(keep_noise, records[~result.keep], viewpoint)
@@ -109,13 +138,11 @@ def _report(result: FilterResult) -> None:
     d = result.diagnostics
     removed = d["points"] - d["kept"]
     share = 100 * removed / max(d["points"], 1)
-    if share > MUCH and d["method"] != "none":
-        log.warning(
-            "%.0f %% of the points were removed: is the surface rougher than a third of the distance of its points, "
-            "or the unit another? Thin it to three such distances first, or try --method statistical",
-            share,
-        )
     log.info("%s: %s of %s points removed (%.1f %%)", d["method"], f"{removed:,}", f"{d['points']:,}", share)
+    if share > 100 * MUCH and d["points"]:
+        milder = f"a milder --set {MILDER[d['method']]}, or " if d["method"] in MILDER else ""
+        log.warning("%.0f %% of the cloud is gone; are there good points among them (--picture)? "
+                    "Then use %sanother --method", share, milder)  # fmt: skip
     for key, words in (("not_finite", "rows without finite coordinates"), ("duplicates", "points at the same place")):
         if d[key]:
             log.info("%s %s", f"{d[key]:,}", words)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
@@ -31,7 +32,7 @@ def tune(
     cloud: Annotated[
         list[Path] | None, typer.Option(help="Labelled cloud [m] with a column noise; else synthetic ones.")
     ] = None,
-    seeds: Annotated[int, typer.Option(min=1, max=500, help="Seeds of synthetic clouds, from 100 on.")] = 2,
+    seeds: Annotated[int, typer.Option(min=0, max=500, help="Seeds of synthetic clouds, from 100 on.")] = 2,
     cost: Annotated[Path | None, typer.Option(help="YAML: weights of precision, recall and retention.")] = None,
     train: Annotated[
         str | None,
@@ -41,6 +42,8 @@ def tune(
         ),
     ] = None,
     scene: Annotated[list[Path] | None, typer.Option(help="Scene folder with truth to train on as well.")] = None,
+    scan: Annotated[list[Path] | None, typer.Option(help="geometry: a scan without outliers, to learn from.")] = None,
+    sets: Annotated[Path | None, typer.Option(help="stereo: folder of real pairs with true disparities.")] = None,
 ) -> None:
     """Find the parameters with the least cost, the weighted mean of 1 − P_r, 1 − Recall and 1 − Retain.
 
@@ -49,7 +52,7 @@ def tune(
     Example: `stereo-ore tune tuned --method paper` then `stereo-ore run … --config tuned/config.yaml`
     """
     if train:
-        _train(out, train, seeds, scene or [])
+        _train(out, train, Material(seeds, tuple(scene or ()), tuple(scan or ()), sets))
     else:
         _search(out, method, cloud or [], seeds, cost)
 
@@ -79,13 +82,23 @@ def _search(out: Path, method: str, files: list[Path], seeds: int, cost: Path | 
     typer.echo(text, nl=False)
 
 
-def _train(out: Path, kind: str, seeds: int, scenes: list[Path]) -> None:
+@dataclass(frozen=True)
+class Material:
+    """What there is to learn from: seeds of made things, scene folders, clean scans, a folder of real pairs."""
+
+    seeds: int
+    scenes: tuple[Path, ...] = ()
+    scans: tuple[Path, ...] = ()
+    sets: Path | None = None
+
+
+def _train(out: Path, kind: str, material: Material) -> None:
     from stereo_ore.io.atomic import make_folder
     from stereo_ore.lab.bench.labelled import TUNING_SEED
 
     trainers = {
-        "geometry": _train_scorer,
-        "stereo": _train_scorer,
+        "geometry": _train_geometry,
+        "stereo": _train_stereo,
         "segment": _train_segment,
         "solids": _train_solids,
         "confidence": _train_confidence,
@@ -93,40 +106,56 @@ def _train(out: Path, kind: str, seeds: int, scenes: list[Path]) -> None:
     if kind not in trainers:
         raise ConfigError(f"{kind!r} can't be trained", key="--train", remedy=f"Use one of {', '.join(trainers)}")
     make_folder(out)
-    text = trainers[kind](kind, range(TUNING_SEED, TUNING_SEED + seeds), scenes)
+    text = trainers[kind](range(TUNING_SEED, TUNING_SEED + material.seeds), material)
     path = out / f"{kind}.json"
     path.write_text(text, encoding="utf-8")
     typer.echo(path)
 
 
-def _train_scorer(kind: str, seeds: range, scenes: list[Path]) -> str:
-    """JSON of one of the adaptive filter's scorers."""
-    from stereo_ore.lab.bench.labelled import scene_stereo
-    from stereo_ore.lab.training import scorers
+def _train_geometry(seeds: range, material: Material) -> str:
+    """JSON of the scorer of clouds without cues, with its quality on clouds and kinds left out."""
+    from stereo_ore.lab.bench.clean import scan
+    from stereo_ore.lab.training import bare_clouds, provenance, scorers
 
-    stereo = kind == "stereo"
-    source = scorers.stereo_clouds(seeds) if stereo else scorers.geometry_clouds(seeds)
-    clouds = [*map(scene_stereo, scenes), *_watched(source, len(seeds) if stereo else 15 * len(seeds), "clouds")]
-    return scorers.train(clouds, kind).to_json()
+    scans = [scan(path) for path in material.scans]
+    made = bare_clouds.bare_clouds(seeds, scans)
+    scorer = scorers.train(_watched(made, bare_clouds.clouds_a_seed() * len(seeds), "clouds"), "geometry")
+    return provenance.of_geometry(scorer, seeds, [path.name for path in material.scans]).to_json()
 
 
-def _train_segment(_kind: str, seeds: range, scenes: list[Path]) -> str:
+def _train_stereo(seeds: range, material: Material) -> str:
+    """JSON of the scorer of stereo clouds, with its quality on real sets left out."""
+    from stereo_ore.lab.bench.stereo_sets import find_sets
+    from stereo_ore.lab.training import provenance, scorers, stereo_clouds
+
+    sets = list(find_sets(material.sets)) if material.sets else []
+    made = stereo_clouds.stereo_clouds(sets, material.scenes, seeds)
+    clouds = _watched(made, stereo_clouds.count(sets, material.scenes, seeds), "clouds")
+    lessons = scorers.lessons(clouds, "stereo")
+    scorer = scorers.fit(lessons, "stereo")
+    return provenance.of_stereo(scorer, lessons).to_json()
+
+
+def _train_segment(seeds: range, material: Material) -> str:
     """JSON of the segmentation's models; their quality on scenes they did not see is logged."""
     from stereo_ore.config import SegmentConfig
     from stereo_ore.lab.training import lumps
 
-    sources = [*(partial(lumps.scene_views, s) for s in scenes), *(partial(lumps.made_views, n) for n in seeds)]
+    sources = [
+        *(partial(lumps.scene_views, s) for s in material.scenes),
+        *(partial(lumps.made_views, n) for n in seeds),
+    ]
     views = [view for source in _watched(iter(sources), len(sources), "scenes") for view in source()]
     weights, quality = lumps.train(views, SegmentConfig())
     log.info("on unseen scenes: %s", quality)
     return weights.to_json()
 
 
-def _train_solids(_kind: str, seeds: range, scenes: list[Path]) -> str:
+def _train_solids(seeds: range, material: Material) -> str:
     """JSON of the solids' shape prior; its errors on scenes left out of the fit are logged."""
     from stereo_ore.lab.training import shape_prior, solids
 
-    folders = [sample for folder in scenes for sample in solids.samples(solids.recorded(folder))]
+    folders = [sample for folder in material.scenes for sample in solids.samples(solids.recorded(folder))]
     first = solids.FIRST_SEED
     made = map(solids.made, range(first, first + len(seeds)))
     found = [*folders, *(s for scene in _watched(made, len(seeds), "scenes") for s in solids.samples(scene))]
@@ -140,15 +169,16 @@ def _train_solids(_kind: str, seeds: range, scenes: list[Path]) -> str:
     return prior.to_json()
 
 
-def _train_confidence(_kind: str, _seeds: range, scenes: list[Path]) -> str:
+def _train_confidence(_seeds: range, material: Material) -> str:
     """JSON of the confidence's network; its quality on sets left out is logged."""
     from stereo_ore.config import MatchingConfig
     from stereo_ore.lab.bench import stereo_sets
     from stereo_ore.lab.training import confidence
 
-    if not scenes:
+    folders = (*material.scenes, *((material.sets,) if material.sets else ()))
+    if not folders:
         raise ConfigError("no set was given", key="--scene", remedy="Give folders of stereo pairs with truth")
-    sets = (data for folder in scenes for data in stereo_sets.find_sets(folder))
+    sets = (data for folder in folders for data in stereo_sets.find_sets(folder))
     examples = list(confidence.views(sets, MatchingConfig()))
     network, quality = confidence.train(examples)
     for each in quality:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Literal
 
 from stereo_ore.config.models import StageConfig, param
@@ -56,13 +57,15 @@ class AdaptiveParams(StageConfig):
     threshold: float | None = param(
         None, "noise probability above which a point is removed; null: the scorer's own", gt=0, lt=1
     )
+    scorer: Path | None = param(None, "a scorer from `tune --train`; null: the one that ships")
 
 
 class ClosedFormParams(StageConfig):
     """The adaptive filter's equation without anything learned."""
 
     k: int = param(16, "neighbours", ge=6, le=100)
-    scale: float = param(0.15, "s, distance from a plane that halves a vote, in spacings", gt=0)
+    scale: float = param(0.15, "least s, distance from a plane that halves a vote, in spacings", gt=0)
+    roughness: float = param(1.5, "s in standard deviations of the cloud's own residuals, where that is more", ge=0)
     support: float = param(0.2, "S₀, support at which a point is as likely noise as not", gt=0)
     rounds: int = param(5, "times the planes are fitted to what the round before believed", ge=1, le=50)
     threshold: float = param(0.95, "p above which a point is noise", gt=0, lt=1)

@@ -5,11 +5,15 @@ unless a name says otherwise. A missing measurement is NaN.
 """
 
 from stereo_ore.types.arrays import (
+    CONTEXT,
+    CONTEXT_REACH_PX,
+    CONTEXT_WINDOWS_PX,
     CUES,
     F32,
     F64,
     I16,
     I32,
+    KNOWN_CUES,
     PIXEL_CUES,
     RELIEF_CUES,
     RELIEF_WINDOWS_PX,
@@ -36,11 +40,15 @@ from stereo_ore.types.stages import (
 )
 
 __all__ = [
+    "CONTEXT",
+    "CONTEXT_REACH_PX",
+    "CONTEXT_WINDOWS_PX",
     "CUES",
     "F32",
     "F64",
     "I16",
     "I32",
+    "KNOWN_CUES",
     "PIXEL_CUES",
     "RELIEF_CUES",
     "RELIEF_WINDOWS_PX",

@@ -33,6 +33,32 @@ scatter_N_px    root mean square of the residuals of that plane, px
 support_N       share of the window that has a disparity, 0…1
 """
 
+CONTEXT_WINDOWS_PX, CONTEXT_REACH_PX = (15, 41, 101), (9, 25, 61)
+KNOWN_CUES = (
+    "lr_diff_px", "photometric", "spread_px", "scatter_14_px", "scatter_36_px", "median_diff_px", "support_14",
+)  # fmt: skip
+CONTEXT = (
+    *(f"{name}_around_{n}" for name in PIXEL_CUES for n in CONTEXT_WINDOWS_PX),
+    *(f"{name}_known_{n}" for name in KNOWN_CUES for n in CONTEXT_WINDOWS_PX),
+    *(f"known_{n}" for n in CONTEXT_WINDOWS_PX),
+    *(f"{name}_{n}" for n in CONTEXT_WINDOWS_PX for name in ("off", "deviation", "off_in_deviations")),
+    *(f"{name}_{n}" for n in CONTEXT_REACH_PX for name in ("nearer", "farther")),
+    *(f"gradient_{axis}_{n}" for axis in "uv" for n in (7, *CONTEXT_WINDOWS_PX[:2])),
+    "brightness",
+)
+"""Cues of voxels that `surroundings.look_around` adds, from windows of N px around each.
+
+CUE_around_N         mean of a pixel cue
+CUE_known_N          mean of the logarithm of a cue (of a support itself) over the pixels that have a disparity
+known_N              their share, 0…1
+off_N                sign(o) · log(1 + |o|) of the voxel's disparity o over their mean, px
+deviation_N          logarithm of their standard deviation, px
+off_in_deviations_N  o over that deviation
+nearer_N, farther_N  log(1 + greatest disparity there over the voxel's), and of the voxel's over the least, px
+gradient_u_N, _v_N   logarithm of the mean gradient along rows, and along columns, grey levels a px
+brightness           logarithm of the mean, grey levels
+"""
+
 
 def check_shape(owner: object, name: str, array: npt.NDArray[Any], *shape: int | None) -> None:
     """Raise ValueError saying what was expected and what came, where None stands for any length."""

@@ -31,6 +31,8 @@ def filter_(
     stereo_seeds: Annotated[int, typer.Option(min=0, max=100, help="Synthetic stereo scenes of each family.")] = 2,
     family: Annotated[list[str] | None, typer.Option(help="Families of synthetic scenes.")] = None,
     scenes: Annotated[Path | None, typer.Option(help="Folder of scene folders with truth, judged too.")] = None,
+    scans: Annotated[Path | None, typer.Option(help="Folder of clean scans: kept? and with planted outliers?")] = None,
+    sets: Annotated[Path | None, typer.Option(help="Folder of real pairs with true disparities.")] = None,
     readme: Annotated[Path | None, typer.Option(help="Put the tables between its `bench filter` markers.")] = None,
 ) -> None:
     """Compare filters: quality (equation 7) and time. Baselines get the best of a grid on each cloud; ours do not.
@@ -38,15 +40,20 @@ def filter_(
     Example: `stereo-ore bench filter --out bench --scenes scenes --readme docs/benchmarks.md`
     """
     from stereo_ore.io.atomic import make_folder
+    from stereo_ore.lab.bench import clean, labelled, tables
     from stereo_ore.lab.bench import filters as bench
-    from stereo_ore.lab.bench import labelled, tables
 
     make_folder(out)
+    scanned = clean.read_scans(scans) if scans else []
     stereo_total, stereo_clouds = _stereo(stereo_seeds, family or ["paper", "large", "hard"], scenes)
     paper = _judge(labelled.paper_clouds(range(seeds)), 9 * seeds, "paper's protocol")
     stereo = _judge(stereo_clouds, stereo_total, "stereo clouds")
     first = next(labelled.paper_clouds(range(1)))
-    document = {"paper": paper, "stereo": stereo, "speed": bench.speed(first.voxels)}
+    planted = _judge(clean.planted_clouds(range(1), scanned), 14 * len(scanned), "planted outliers")
+    real = _judge(*_real(sets), "real stereo clouds")
+    kept = bench.judge_clean(clean.clean_clouds(range(1), scanned))
+    document = {"paper": paper, "planted": planted, "stereo": stereo, "real": real, "clean": kept}
+    document["speed"] = [bench.speed(first.voxels), bench.speed(bench.large_cloud(), repeats=2)]
     text = tables.markdown(document)
     (out / "bench-filter.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
     (out / "bench-filter.md").write_text(text, encoding="utf-8")
@@ -83,6 +90,14 @@ def _stereo(seeds: int, families: list[str], scenes: Path | None) -> tuple[int, 
         yield from (labelled.scene_stereo(folder) for folder in folders)
 
     return seeds * len(families) + len(folders), clouds()
+
+
+def _real(sets: Path | None) -> tuple[Iterator[LabelledCloud], int]:
+    from stereo_ore.lab.bench.real_stereo import real_cloud
+    from stereo_ore.lab.bench.stereo_sets import find_sets
+
+    found = list(find_sets(sets)) if sets else []
+    return map(real_cloud, found), len(found)
 
 
 def _draw(labelled: LabelledCloud, out: Path) -> None:

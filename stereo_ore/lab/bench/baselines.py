@@ -39,9 +39,12 @@ class Contender:
             out += [(f"{words}, score > {t}".lstrip(", "), result.score > t) for t in self.thresholds]
         return out
 
-    def best(self, voxels: VoxelCloud, is_noise: Mask) -> tuple[str, FilterQuality, Mask]:
-        """The setting with the highest F1, its quality (equation 7) and what it removes."""
-        judged = [(words, filter_quality(is_noise, removed), removed) for words, removed in self.removed(voxels)]
+    def best(
+        self, voxels: VoxelCloud, is_noise: Mask, rows: slice | Mask = slice(None)
+    ) -> tuple[str, FilterQuality, Mask]:
+        """The setting with the highest F1, its quality (equation 7) and what it removes, all of some rows."""
+        decided = [(words, removed[rows]) for words, removed in self.removed(voxels)]
+        judged = [(words, filter_quality(is_noise, removed), removed) for words, removed in decided]
         return max(judged, key=lambda item: item[1].f1)
 
 

@@ -25,13 +25,17 @@ TUNING_SEED = 100
 
 @dataclass(frozen=True)
 class LabelledCloud:
-    """A cloud, which of its points are noise, and which of them belong to bars (where that is known)."""
+    """A cloud, which of its points are noise, which of them belong to bars, and which can be judged.
+
+    The last two are None where that is not known, and where all can.
+    """
 
     name: str
     cell: str
     voxels: VoxelCloud
     is_noise: Mask
     on_bar: Mask | None = None
+    judged: Mask | None = None
 
 
 def bare_cloud(xyz: npt.ArrayLike) -> VoxelCloud:

@@ -12,9 +12,10 @@ from stereo_ore.errors import OutputError
 def markdown(document: dict[str, Any]) -> str:
     """The tables of a `bench filter` result."""
     parts = [_section("The paper's protocol", document["paper"])]
-    if document["stereo"]["cells"]:
-        parts.append(_section("Stereo clouds", document["stereo"]))
-    return "\n\n".join([*parts, _speed(document["speed"])]) + "\n"
+    titles = {"planted": "Outliers planted on scans", "stereo": "Stereo clouds", "real": "Real stereo clouds"}
+    parts += [_section(title, document[key]) for key, title in titles.items() if document[key]["cells"]]
+    parts.append(_clean(document["clean"]))
+    return "\n\n".join([*parts, *map(_speed, document["speed"])]) + "\n"
 
 
 def _section(title: str, part: dict[str, Any]) -> str:
@@ -34,6 +35,13 @@ def _cells(name: str, cells: Sequence[dict[str, Any]], filters: Sequence[str]) -
     ours = by_filter[filters[-1]]
     figures = [percent(ours[key]) for key in ("precision", "recall", "retention", "noise_left", "bars_kept")]
     return [name, percent(ours["noise_share"]), *(percent(by_filter[f]["f1"]) for f in filters), *figures]
+
+
+def _clean(rows: Sequence[dict[str, Any]]) -> str:
+    names = [name for name in rows[0] if name != "cell"]
+    body = [[row["cell"], *(percent(row[name]) for name in names)] for row in rows]
+    note = "Share removed in %, each filter as shipped: every point lost is a good one."
+    return f"**Clouds without an outlier.** {note}\n\n{table(['cloud', *names], body)}"
 
 
 def _speed(speed: dict[str, float]) -> str:

@@ -26,8 +26,11 @@ from stereo_ore.errors import ConfigError
 from stereo_ore.stages.filters.adaptive import adaptive
 from stereo_ore.stages.filters.baselines import lof, none, radius, statistical
 from stereo_ore.stages.filters.closed_form import closed_form
+from stereo_ore.stages.filters.like import PROGRAMS, apply_like
 from stereo_ore.stages.filters.paper import paper
-from stereo_ore.types import F32, FilterResult, Mask, VoxelCloud
+from stereo_ore.types import F32, I32, FilterResult, Mask, VoxelCloud
+
+__all__ = ["METHODS", "PROGRAMS", "Method", "apply", "apply_like", "parameters", "prepared"]
 
 
 @dataclass(frozen=True)
@@ -98,7 +101,7 @@ def apply(voxels: VoxelCloud, config: FilterConfig) -> FilterResult:
     return FilterResult(keep, score, counts | {"kept": int(keep.sum())} | settings | dict(result.diagnostics))
 
 
-def prepared(voxels: VoxelCloud) -> tuple[VoxelCloud, npt.NDArray[np.int64]]:
+def prepared(voxels: VoxelCloud) -> tuple[VoxelCloud, I32]:
     """The finite, distinct points in the order in which a method sees them, and their rows."""
     _, first, _ = _distinct(voxels.xyz, _finite(voxels.xyz))
     return _take(voxels, first), first
@@ -109,14 +112,14 @@ def _finite(xyz: F32) -> Mask:
     return np.asarray(x & y & z)
 
 
-def _distinct(xyz: F32, finite: Mask) -> tuple[npt.NDArray[np.int64], ...]:
+def _distinct(xyz: F32, finite: Mask) -> tuple[I32, I32, I32]:
     """Finite rows in a spatially coherent order, the first row of each place, and the place of each ordered row."""
-    rows = np.flatnonzero(finite)
+    rows = np.flatnonzero(finite).astype(np.int32)
     order = rows[_order(xyz[rows])]
     places = xyz[order]
     x, y, z = (places[1:] != places[:-1]).T
     new = np.append(True, x | y | z)[: len(order)]
-    return order, order[new], np.cumsum(new) - 1
+    return order, order[new], np.cumsum(new, dtype=np.int32) - np.int32(1)
 
 
 def _order(xyz: F32) -> npt.NDArray[np.int64]:
@@ -146,7 +149,7 @@ def _coarse_cell(xyz: F32, cells: int = 64) -> npt.NDArray[np.int64]:
     return np.asarray((grid[:, 0] * (cells + 2) + grid[:, 1]) * (cells + 2) + grid[:, 2])
 
 
-def _take(voxels: VoxelCloud, rows: npt.NDArray[np.int64]) -> VoxelCloud:
+def _take(voxels: VoxelCloud, rows: I32) -> VoxelCloud:
     return dataclasses.replace(
         voxels,
         xyz=voxels.xyz[rows],

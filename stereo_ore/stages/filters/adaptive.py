@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from stereo_ore.config.filters import AdaptiveParams
+from stereo_ore.errors import ConfigError
 from stereo_ore.network import Network
 from stereo_ore.stages.filters import stereo
 from stereo_ore.stages.filters.evidence import Evidence, gather
-from stereo_ore.stages.filters.scorer import Scorer, load
+from stereo_ore.stages.filters.scorer import Scorer, load, read
+from stereo_ore.threads import map_rows
 from stereo_ore.types import F32, FilterResult, VoxelCloud
 
 
@@ -18,9 +20,9 @@ def adaptive(voxels: VoxelCloud, params: AdaptiveParams) -> FilterResult:
     the pass before found each to be surface: what it took for noise no longer bends the planes fitted to them.
     """
     name, evidence = look(voxels, params.k)
-    scorer = load(name)
+    scorer = load(name) if params.scorer is None else read(params.scorer)
     noise = run_passes(evidence, scorer)
-    threshold = scorer.threshold if params.threshold is None else params.threshold
+    threshold = scorer.decide(noise) if params.threshold is None else params.threshold
     return FilterResult(noise <= threshold, noise, {"scorer": name, "threshold": threshold})
 
 
@@ -34,7 +36,8 @@ def look(voxels: VoxelCloud, k: int) -> tuple[str, Evidence]:
 def run_passes(evidence: Evidence, scorer: Scorer) -> F32:
     """Noise probability (M,) after all passes of a scorer."""
     if tuple(scorer.features) != evidence.names:
-        raise ValueError("the scorer was trained on other features than the evidence has")
+        remedy = "Fit it anew with tune --train geometry, or stereo for clouds of a matcher"
+        raise ConfigError("it was fitted to other features", key="filter.params.scorer", remedy=remedy)
     noise = evidence.prior
     for number, network in enumerate(scorer.passes):
         noise = judge(evidence, noise, network, number)
@@ -43,8 +46,9 @@ def run_passes(evidence: Evidence, scorer: Scorer) -> F32:
 
 def judge(evidence: Evidence, noise: F32, network: Network, number: int) -> F32:
     """Noise probabilities (M,) after pass `number`; what was decided before stays."""
-    rows = evidence.undecided(noise)
+    asked = evidence.ask(noise, number)
     after = noise.copy()
-    if len(rows):
-        after[rows] = network.probability(evidence.features(noise, rows, number))
+    if len(asked.rows):
+        told = network.given(asked.whole)
+        after[asked.rows] = map_rows(lambda part: told.judge(asked.table(part)), len(asked.rows))
     return after

@@ -17,7 +17,7 @@ from stereo_ore.types import F32
 TINY = np.finfo(np.float32).tiny
 Index = npt.NDArray[np.integer[Any]]
 
-EXACT_TREE = {"algorithm": 4, "leaf_max_size": 16, "reorder": True}
+EXACT_TREE = {"algorithm": 4, "leaf_max_size": 10, "reorder": True}
 """FLANN's single k-d tree, which is exact."""
 
 Search = Callable[[F32, int], tuple[Index, F32]]
@@ -97,7 +97,7 @@ def _scipy_tree(points: F32) -> Search:
     return find
 
 
-def by_neighbour(index: Index, rows: slice) -> npt.NDArray[np.intp]:
+def by_neighbour(index: Index, rows: slice | Index) -> npt.NDArray[np.intp]:
     """Neighbours (k, n) of n points: sums over k, row upon row, are several times faster than along rows."""
     return np.ascontiguousarray(index[rows].T, np.intp)
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stereo_ore.stages.filters.evidence import ODDS_FEATURES, PLANE_FEATURES, Rows, mean_distances, mean_of
+from stereo_ore.stages.filters.evidence import ODDS_FEATURES, PLANE_FEATURES, Questions, Rows, mean_distances, mean_of
 from stereo_ore.stages.filters.neighbours import columns, nearest
 from stereo_ore.stages.filters.surface import LEAST, fit_planes, log_odds
 from stereo_ore.threads import map_rows
-from stereo_ore.types import CUES, F32, VoxelCloud
+from stereo_ore.types import CONTEXT, CUES, F32, VoxelCloud
 
 FLOORS = {"spread_px": 0.05, "lr_diff_px": 0.03, "texture": 0.3, "photometric": 0.03, "median_diff_px": 0.03}
 """Added before a cue's logarithm."""
@@ -18,13 +18,16 @@ FLOORS = {"spread_px": 0.05, "lr_diff_px": 0.03, "texture": 0.3, "photometric": 
 DISPARITY_STRETCH = 0.3
 """Image space [px]: one standard deviation of depth noise counts as this many pixels across."""
 
+MOST = 50.0
+NOTHING = np.zeros(0, np.float32)
+
 SURE = 0.12
 """Below this probability of either verdict a first pass by cues alone is believed."""
 
 
 def has_cues(voxels: VoxelCloud) -> bool:
-    """True for a cloud that a matcher made and spoke about."""
-    return set(CUES) <= set(voxels.cues) and bool((voxels.sigma_z > 0).all() and (voxels.pixel_m > 0).all())
+    """True for a cloud that a matcher made and spoke about, with what lies around in the image."""
+    return {*CUES, *CONTEXT} <= set(voxels.cues) and bool((voxels.sigma_z > 0).all() and (voxels.pixel_m > 0).all())
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,7 @@ class StereoEvidence:
     k: int
 
     names = (
-        *CUES, "points", "voxel in pixels", "depth noise in voxels",
+        *CUES, "points", "voxel in pixels", "depth noise in voxels", *CONTEXT,
         "mean distance, K = 3", "mean distance, K = 8", "mean distance, all K", *PLANE_FEATURES, *ODDS_FEATURES,
     )  # fmt: skip
 
@@ -45,18 +48,20 @@ class StereoEvidence:
         """Nothing is known before the cues are looked at."""
         return np.full(len(self.points), 0.5, np.float32)
 
-    def undecided(self, noise: F32) -> Rows:
-        """Where the pass before was not sure."""
-        return np.flatnonzero((noise > SURE) & (noise < 1 - SURE))
-
-    def features(self, noise: F32, rows: Rows, number: int) -> F32:
+    def ask(self, noise: F32, number: int) -> Questions:
         """Cues in the first pass; then density and surface too, by the k nearest neighbours (equations 1 and 2).
 
         The logarithms of the mean distances to the nearest 3, 8 and k; the plane through the neighbours, weighted by
         how likely each is to be surface (`surface.fit_planes`); the odds of the pass before, and of the neighbours.
         """
-        if number == 0:
-            return self.cues[rows]
+        everything = np.arange(len(noise))
+        if number == 0 or not len(noise):
+            return Questions(everything, NOTHING, self.cues.__getitem__)
+        rows = np.flatnonzero((noise > SURE) & (noise < 1 - SURE))
+        features = self._features(noise, rows) if len(rows) else self.cues[rows]
+        return Questions(rows, NOTHING, features.__getitem__)
+
+    def _features(self, noise: F32, rows: Rows) -> F32:
         at = self.points[rows]
         index, distance = nearest(self.points, at, min(self.k + 1, len(self.points)))
         index, distance = index[:, 1:], distance[:, 1:]
@@ -87,15 +92,16 @@ def image_space(voxels: VoxelCloud) -> F32:
 def _cues(voxels: VoxelCloud) -> F32:
     """Cues (M, F): shares as they are, offsets as sign(o)·log(1 + 3|o|), logarithms of all else.
 
-    The last three are the points behind a voxel over those it has room for, its edge in pixels, and depth noise in
-    edges.
+    Then the points behind a voxel over those it has room for, its edge in pixels, depth noise in edges, and what lies
+    around, none of it beyond ±`MOST`.
     """
     room = voxels.size_m / voxels.pixel_m
 
     def chunk(rows: slice) -> F32:
         cue = {name: np.nan_to_num(voxels.cues[name][rows], nan=0.0, posinf=0.0, neginf=0.0) for name in CUES}
         plain = (voxels.count[rows] / room[rows] ** 2, room[rows], voxels.sigma_z[rows] / voxels.size_m)
-        return columns(*(_scaled(name, cue[name]) for name in CUES), *(np.log(x) for x in plain))
+        around = (np.clip(voxels.cues[name][rows], -MOST, MOST) for name in CONTEXT)
+        return columns(*(_scaled(name, cue[name]) for name in CUES), *(np.log(x) for x in plain), *around)
 
     return map_rows(chunk, len(voxels))
 

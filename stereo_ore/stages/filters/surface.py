@@ -113,26 +113,32 @@ def _null_vector(a: F64, b: F64, c: F64, d: F64, e: F64, f: F64) -> F64:
     return np.asarray(vector / np.where(length == 0, 1, length)).T
 
 
-def votes(x: F32, index: Index, weight: F32, planes: Planes, at: F32, scales: tuple[float, float] = SCALES) -> F32:
-    """How well points `at` lie on the planes of their neighbours `x`, (M, 3) logarithms.
+@dataclass(frozen=True)
+class Voters:
+    """What points say of others by their planes: eight columns (N,) of unit normal, height, weight and place."""
 
-    With r_j = |n_j·(x_i − x_j) − h_j|: Σ w_j / (1 + (r_j/s)²) for either scale s, and Σ w_j r_j / Σ w_j.
-    On an edge the planes of its own side speak for a point, where one plane through both sides would not.
-    """
-    table = columns(planes.normal, planes.height, weight, x)
-    return map_rows(lambda rows: _vote_rows(by_neighbour(index, rows), at[rows], table, scales), len(at))
+    table: tuple[F32, ...]
 
+    @classmethod
+    def of(cls, x: F32, weight: F32, planes: Planes) -> Voters:
+        """Points (N, 3) with their weights (N,) and planes."""
+        return cls((*planes.normal.T, planes.height, weight, *x.T))
 
-def _vote_rows(index: Index, own: F32, table: F32, scales: tuple[float, float]) -> F32:
-    nx, ny, nz, height, w, x, y, z = (column.take(index) for column in table.T)
-    nx *= own[:, 0] - x
-    ny *= own[:, 1] - y
-    nz *= own[:, 2] - z
-    r = np.abs(nx + ny + nz - height)
-    square = r * r
-    near, far = ((w / (1 + square * np.float32(scale**-2))).sum(0) for scale in scales)
-    mean = np.einsum("ij,ij->j", w, r) / (w.sum(0) + np.float32(1e-3))
-    return np.asarray(np.log(columns(near, far, mean) + np.float32(LEAST)))
+    def votes(self, near: Index, own: F32, scales: tuple[float, float] = SCALES) -> F32:
+        """How well points `own` (n, 3) lie on the planes of their neighbours `near` (k, n), (n, 3) logarithms.
+
+        With r_j = |n_j·(x_i − x_j) − h_j|: Σ w_j / (1 + (r_j/s)²) for either scale s, and Σ w_j r_j / Σ w_j.
+        On an edge the planes of its own side speak for a point, where one plane through both sides would not.
+        """
+        nx, ny, nz, height, w, x, y, z = (column.take(near) for column in self.table)
+        nx *= own[:, 0] - x
+        ny *= own[:, 1] - y
+        nz *= own[:, 2] - z
+        r = np.abs(nx + ny + nz - height)
+        square = r * r
+        close, far = ((w / (1 + square * np.float32(scale**-2))).sum(0) for scale in scales)
+        mean = np.einsum("ij,ij->j", w, r) / (w.sum(0) + np.float32(1e-3))
+        return np.asarray(np.log(columns(close, far, mean) + np.float32(LEAST)))
 
 
 def log_odds(noise: F32) -> F32:
