@@ -82,7 +82,7 @@ class MatchingConfig(StageConfig):
 class CloudConfig(StageConfig):
     """Reprojection of disparities into the cloud."""
 
-    max_depth_m: float = param(20.0, "farther points are dropped", "m", gt=0, le=100)
+    max_depth_m: float = param(20.0, "farther points are dropped", "m", gt=0, le=5000)
 
 
 class VoxelConfig(StageConfig):
