@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -37,6 +38,7 @@ from stereo_ore.types import (
     PointCloud,
     Reason,
     RectifiedPair,
+    Registration,
     Site,
     Status,
     StereoCalibration,
@@ -91,13 +93,16 @@ class Chain:
         eyes = trace.reached("rectify", rectify.rectify(pair, self.rectifier))
         disparity = trace.reached("match", self._match(eyes, more))
         trace.check(health.eye_doubts, eyes, disparity, config.health)
+        disparity, moved = self._register(disparity)
+        trace.reached("register", disparity)
         points = trace.reached("cloud", self._cloud(disparity, eyes))
         size_m = voxels.voxel_size(config.voxel, self.rig, site.volume, points)
         grid = trace.reached("voxels", voxels.voxelise(points, disparity, self.rig, size_m))
         filtered = trace.reached("filter", filters.apply(grid, config.filter))
         kept = filtered.keep[grid.inverse]
         surface = trace.reached("surface", cloud.surface(points, kept, eyes, disparity.region))
-        screen = trace.reached("grizzly", self._screen(surface))
+        screen = trace.reached("grizzly", replace(self._screen(surface), registration=moved))
+        trace.check(health.bar_doubts, moved, screen.opening_m, config.health)
         if screen.source != "auto":
             trace.check(health.screen_doubts, surface, screen.plane, config.grizzly, config.health)
         ore_map = trace.reached("segment", self._segment(disparity, surface, screen))
@@ -115,6 +120,16 @@ class Chain:
         if self.empty is not None:
             matching.background.compare(self.empty.background, disparity)
         return disparity
+
+    def _register(self, disparity: Disparity) -> tuple[Disparity, Registration | None]:
+        """The disparity with the bars where they are known to be, and how far from there they were measured."""
+        plane = self.site.plane if self.empty is None else self.empty.grizzly.plane
+        if plane is None:
+            return disparity, None
+        known = None if self.empty is None else self.empty.registration
+        disparity = grizzly.corrected(disparity, known, self.rig)
+        moved = grizzly.register(disparity, self.rig, plane, self.site, self.config.grizzly)
+        return grizzly.corrected(disparity, moved, self.rig), moved
 
     def _match_pair(self, pair: RectifiedPair) -> Disparity:
         config = self.config.matching
@@ -204,7 +219,7 @@ class Trace:
             reasons,
             self._counts(targets),
             pair=get("rectify"),
-            disparity=get("match"),
+            disparity=get("register", get("match")),
             cloud=get("cloud"),
             voxels=get("voxels"),
             filtered=get("filter"),

@@ -167,6 +167,9 @@ class HealthConfig(StageConfig):
         4.0, "distance of the screen seen from the site's plane, in standard deviations of a depth", gt=0
     )
     max_screen_tilt_rad: float = param(0.026, "angle between them, or more where noise makes more", "rad", gt=0, lt=1)
+    max_bar_shift: float = param(
+        0.1, "largest distance of bars from their place that is corrected, in openings", gt=0, le=0.5
+    )
     least_screen: float = param(0.15, "share of the points that a plane must have to be the screen", gt=0, lt=1)
     refuse_frozen: bool = param(True, "a frame with an eye's image equal to the last, pixel for pixel, is degraded")
     min_of_usual: float = param(0.6, "share of the valid disparities that good frames before had", ge=0, lt=1)
