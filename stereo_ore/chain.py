@@ -105,9 +105,12 @@ class Chain:
         trace.check(health.bar_doubts, moved, screen.opening_m, config.health)
         if screen.source != "auto":
             trace.check(health.screen_doubts, surface, screen.plane, config.grizzly, config.health)
+        parts = health.judge_parts(disparity, self.rig, screen)
+        trace.check(health.row_doubts, parts, config.health)
         ore_map = trace.reached("segment", self._segment(disparity, surface, screen))
         solids = trace.reached("solids", solid.solids(surface, ore_map, screen, config.solid))
-        plans = trace.reached("strikes", strike.plans(surface, ore_map, solids, screen, site, config.strike))
+        plans = strike.plans(surface, ore_map, solids, screen, site, config.strike)
+        plans = trace.reached("strikes", health.without_doubtful(plans, ore_map, disparity, parts))
         targets = order.order(solids, plans, site, config.order)
         found = ores.describe(surface, ore_map, solids, plans, site)
         trace.reached("ores", (found, targets))

@@ -161,6 +161,7 @@ class HealthConfig(StageConfig):
     min_disparity_share: float = param(0.2, "share of the pixels searched that must have a disparity", ge=0, lt=1)
     max_spread_px: float = param(0.15, "median difference of neighbouring disparities that eyes which agree have", "px")
     max_row_shift_rad: float = param(0.00025, "row difference of the matched eyes, over the focal length", "rad", gt=0)
+    max_local_row_shift_px: float = param(0.4, "and what a part of the image may differ by beyond that", "px", gt=0)
     min_brightness: float = param(24, "grey level that 5 % of the pixels reach, in the darker eye", ge=0, le=255)
     min_fine_detail: float = param(0.014, "energy of the finest detail in both eyes, over that of coarse detail", ge=0)
     max_screen_offset: float = param(
@@ -170,6 +171,7 @@ class HealthConfig(StageConfig):
     max_bar_shift: float = param(
         0.1, "largest distance of bars from their place that is corrected, in openings", gt=0, le=0.5
     )
+    max_bad_rows: float = param(0.04, "share of the rows in which bars may be measured elsewhere", ge=0, le=1)
     least_screen: float = param(0.15, "share of the points that a plane must have to be the screen", gt=0, lt=1)
     refuse_frozen: bool = param(True, "a frame with an eye's image equal to the last, pixel for pixel, is degraded")
     min_of_usual: float = param(0.6, "share of the valid disparities that good frames before had", ge=0, lt=1)

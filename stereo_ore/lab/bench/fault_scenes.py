@@ -22,6 +22,8 @@ LIMIT_M, LIMIT_SHARE = 0.03, 0.03
 """A strike this far from each lump, or this share of its distance from the camera, is wrong."""
 FIRST_LUMP, TOOL = 2, 255
 """Labels of the true instances: lumps from the first of these on, but for the breaker's hammer."""
+NOISE_GREY = 0.7
+"""Standard deviation of what another exposure differs by."""
 
 
 @dataclass(frozen=True)
@@ -95,5 +97,5 @@ def exposed(pair: StereoPair, seed: int) -> StereoPair:
 
 
 def _noisy(image: U8, seed: int, eye: int) -> U8:
-    noise = np.random.default_rng([seed, eye]).standard_normal(image.shape, np.float32)
+    noise = np.random.default_rng([seed, eye]).normal(0, NOISE_GREY, image.shape)
     return np.asarray(np.clip(np.rint(image + noise), 0, 255), np.uint8)
