@@ -100,7 +100,7 @@ def pair_of(flat: Any, turn: tuple[float, float, float] = (1, 0, 0)) -> tuple[Re
 
 def rows_of(pair: RectifiedPair, disparity: Disparity) -> float:
     left, right = (cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.uint8) for image in (pair.left, pair.right))
-    return rows.row_shift(left, right, disparity, pair.rig.disparity_offset_px)
+    return rows.row_shift(left, right, disparity, pair.rig.disparity_offset_px).systematic
 
 
 def codes(pair: RectifiedPair, disparity: Disparity) -> list[str]:

@@ -118,7 +118,9 @@ def _strip_windows(left: U8, right: U8, disparity: Disparity, offset_px: float, 
     if min(region.x1 - region.x0, rows.stop - rows.start) < WINDOW_STEPS * STEP_PX:
         none = np.empty(0)
         return Windows(none, none, none, none)
-    flat, seen = _one_surface(part.values[:, columns] - np.float32(offset_px))
+    matched = part.values[:, columns] - np.float32(offset_px)
+    in_right = matched <= np.arange(region.x0, region.x1, dtype=np.float32)
+    flat, seen = _one_surface(np.where(in_right, matched, np.float32(np.nan)))
     one, other = (smooth(image[rows], SMOOTHING_PX) for image in (left, right))
     shift, energy, sure = _window_shifts(one[:, columns], laid_over(other, flat, region.x0), seen)
     v, u = (STEP_PX * (place + WINDOW_STEPS / 2) for place in sure.nonzero())
