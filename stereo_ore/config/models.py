@@ -173,7 +173,9 @@ class HealthConfig(StageConfig):
     )
     max_bad_rows: float = param(0.04, "share of the rows in which bars may be measured elsewhere", ge=0, le=1)
     least_screen: float = param(0.15, "share of the points that a plane must have to be the screen", gt=0, lt=1)
-    refuse_frozen: bool = param(True, "a frame with an eye's image equal to the last, pixel for pixel, is degraded")
+    refuse_frozen: bool = param(True, "a frame with an eye's image equal to an earlier one, to the pixel, is degraded")
+    frozen_history: int = param(64, "earlier frames looked at: a ring buffer repeats itself", ge=1, le=10_000)
+    confirm: bool = param(False, "a target must have been a lump at the same place in the frame before")
     min_of_usual: float = param(0.6, "share of the valid disparities that good frames before had", ge=0, lt=1)
     history: int = param(20, "good frames that say what is usual", ge=5, le=10_000)
 
