@@ -96,7 +96,9 @@ def without_doubtful(
     ]
     on_bars, in_rows = (count / np.maximum(counts[0], 1) for count in counts[1:])
     doubts = (_doubt(*shares) for shares in zip(on_bars, in_rows, strict=True))
-    return tuple(plan if doubt is None else StrikePlan((), (doubt,)) for plan, doubt in zip(plans, doubts, strict=True))
+    return tuple(
+        StrikePlan((), (doubt,)) if doubt and plan.strikes else plan for plan, doubt in zip(plans, doubts, strict=True)
+    )
 
 
 def _doubt(on_bars: float, in_rows: float) -> Reason | None:
