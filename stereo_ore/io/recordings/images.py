@@ -20,6 +20,8 @@ from stereo_ore.types import U8
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 BYTES_PER_PIXEL, HEADER_BYTES = 8, 1_000_000
 """Four channels of 16 bit, uncompressed, and what else a file may hold."""
+MOST_SCANS = 64
+"""Scans of a progressive JPEG: decoders go through the whole picture for each, whatever little it holds."""
 _END_MARKS = {b"\x89PNG": b"IEND", b"\xff\xd8": b"\xff\xd9"}
 _DAMAGE = re.compile(rb"Corrupt JPEG|Premature end of JPEG|Inconsistent progression|libpng error|TIFF_Error")
 
@@ -84,6 +86,9 @@ def _check(path: Path, data: bytes, max_pixels: int) -> None:
     if not data:
         raise FrameError("is empty", code="UNREADABLE_IMAGE", file=path, remedy="Record or copy it again")
     _check_complete(path, data)
+    if data.startswith(b"\xff\xd8") and (scans := data.count(b"\xff\xda")) > MOST_SCANS:
+        problem = f"has {scans:,} scans; a camera's JPEG has at most {MOST_SCANS}"
+        raise FrameError(problem, code="UNREADABLE_IMAGE", file=path, remedy="Record or copy it again")
     _check_claim(path, data, max_pixels)
 
 
