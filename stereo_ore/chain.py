@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -38,6 +39,7 @@ from stereo_ore.types import (
     PointCloud,
     Reason,
     RectifiedPair,
+    Registration,
     Site,
     Status,
     StereoCalibration,
@@ -92,6 +94,8 @@ class Chain:
         eyes = trace.reached("rectify", rectify.rectify(pair, self.rectifier))
         disparity = trace.reached("match", self._match(eyes, more))
         trace.check(health.eye_doubts, eyes, disparity, config.health)
+        disparity, moved = self._register(disparity)
+        trace.reached("register", disparity)
         points = trace.reached("cloud", self._cloud(disparity, eyes))
         size_m = voxels.voxel_size(config.voxel, self.rig, site.volume, points)
         grid = voxels.voxelise(points, disparity, self.rig, size_m)
@@ -99,12 +103,16 @@ class Chain:
         filtered = trace.reached("filter", filters.apply(grid, config.filter))
         kept = filtered.keep[grid.inverse]
         surface = trace.reached("surface", cloud.surface(points, kept, eyes, disparity.region))
-        screen = trace.reached("grizzly", self._screen(surface))
+        screen = trace.reached("grizzly", replace(self._screen(surface), registration=moved))
+        trace.check(health.bar_doubts, moved, screen.opening_m, config.health)
         if screen.source != "auto":
             trace.check(health.screen_doubts, surface, screen.plane, config.grizzly, config.health)
+        parts = health.judge_parts(disparity, self.rig, screen)
+        trace.check(health.row_doubts, parts, config.health)
         ore_map = trace.reached("segment", self._segment(disparity, surface, screen))
         solids = trace.reached("solids", solid.solids(surface, ore_map, screen, config.solid))
-        plans = trace.reached("strikes", strike.plans(surface, ore_map, solids, screen, site, config.strike))
+        plans = strike.plans(surface, ore_map, solids, screen, site, config.strike)
+        plans = trace.reached("strikes", health.without_doubtful(plans, ore_map, disparity, parts))
         targets = order.order(solids, plans, site, config.order)
         found = ores.describe(surface, ore_map, solids, plans, site)
         trace.reached("ores", (found, targets))
@@ -117,6 +125,16 @@ class Chain:
         if self.empty is not None:
             matching.background.compare(self.empty.background, disparity)
         return disparity
+
+    def _register(self, disparity: Disparity) -> tuple[Disparity, Registration | None]:
+        """The disparity with the bars where they are known to be, and how far from there they were measured."""
+        plane = self.site.plane if self.empty is None else self.empty.grizzly.plane
+        if plane is None:
+            return disparity, None
+        known = None if self.empty is None else self.empty.registration
+        disparity = grizzly.corrected(disparity, known, self.rig)
+        moved = grizzly.register(disparity, self.rig, plane, self.site, self.config.grizzly)
+        return grizzly.corrected(disparity, moved, self.rig), moved
 
     def _match_pair(self, pair: RectifiedPair) -> Disparity:
         config = self.config.matching
@@ -206,7 +224,7 @@ class Trace:
             reasons,
             self._counts(targets),
             pair=get("rectify"),
-            disparity=get("match"),
+            disparity=get("register", get("match")),
             cloud=get("cloud"),
             voxels=get("voxels"),
             filtered=get("filter"),

@@ -10,7 +10,7 @@ from typing import Any
 import numpy.typing as npt
 
 from stereo_ore.losses import losses
-from stereo_ore.types import FrameResult, Grizzly, Ore, Reason, Site, Solid, Strike
+from stereo_ore.types import FrameResult, Grizzly, Ore, Reason, Registration, Site, Solid, Strike
 
 SCHEMA = "stereo_ore/frame/2"
 DECIMALS = 6
@@ -64,7 +64,25 @@ def _grizzly(grizzly: Grizzly | None) -> Json | None:
         return None
     rms = None if grizzly.rms_m is None else number(grizzly.rms_m)
     plane = grizzly.plane
-    return {"normal": numbers(plane.normal), "offset_m": number(plane.offset), "source": grizzly.source, "rms_m": rms}
+    return {
+        "normal": numbers(plane.normal),
+        "offset_m": number(plane.offset),
+        "source": grizzly.source,
+        "rms_m": rms,
+        "registration": _registration(grizzly.registration),
+    }
+
+
+def _registration(moved: Registration | None) -> Json | None:
+    """How far from their place the bars were measured, and what was taken off the disparity; null where unknown."""
+    if moved is None:
+        return None
+    return {
+        "offset_m": number(moved.offset_m),
+        "tilt_deg": number(math.degrees(moved.tilt_rad)),
+        "worst_m": number(moved.worst_m),
+        "field_px": numbers(moved.field_px),
+    }
 
 
 def _in_frames(part: Ore | Solid | Strike, vector: str) -> Json:

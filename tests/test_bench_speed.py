@@ -16,8 +16,8 @@ from stereo_ore.lab.bench import growth, memory, speed, speed_tables
 from stereo_ore.lab.bench.growth import GrowthRow
 
 STAGES = [
-    "read", "rectify", "match", "cloud", "voxels", "filter", "surface", "grizzly", "segment", "solids", "strikes",
-    "ores", "health", "record", "files",
+    "read", "rectify", "match", "register", "cloud", "voxels", "filter", "surface", "grizzly", "segment", "solids",
+    "strikes", "ores", "health", "record", "files",
 ]  # fmt: skip
 
 

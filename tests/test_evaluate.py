@@ -1,5 +1,6 @@
 """`evaluate`: the truth scores perfectly, a known fault shows as itself, figures are those of the scoring tool."""
 
+import copy
 import json
 import shutil
 from collections.abc import Callable
@@ -196,6 +197,30 @@ def test_what_is_missing_is_named(results: Callable[..., Path], synth_folder: Pa
         evaluate.load_truth(scene)
     (scene / "gt.json").write_text("{")
     with pytest.raises(SourceError, match="can't be read"):
+        evaluate.load_truth(scene)
+
+
+def test_a_lump_without_a_key_is_named(synth_folder: Path, tmp_path: Path) -> None:
+    scene = shutil.copytree(synth_folder, tmp_path / "scene")
+    whole = json.loads((scene / "gt.json").read_text())
+    for key in ("visible_pixels", "volume_mm3"):
+        document = copy.deepcopy(whole)
+        for lump in document["lumps"]:
+            del lump[key]
+        (scene / "gt.json").write_text(json.dumps(document))
+        with pytest.raises(SourceError, match=key):
+            evaluate.load_truth(scene)
+
+
+def test_truth_of_another_shape_is_an_error(results: Callable[..., Path], synth_folder: Path, tmp_path: Path) -> None:
+    scene = shutil.copytree(synth_folder, tmp_path / "scene")
+    with np.load(scene / "gt.npz") as file:
+        arrays = {name: array[:-8] for name, array in file.items()}
+    np.savez(scene / "gt.npz", **arrays)
+    with pytest.raises(SourceError, match="pixels"):
+        judged(results(), scene)
+    np.savez(scene / "gt.npz", **{name: array[: 9 if "depth" in name else 8] for name, array in arrays.items()})
+    with pytest.raises(SourceError, match="shapes"):
         evaluate.load_truth(scene)
 
 

@@ -37,6 +37,32 @@ def other_moment(right: U8) -> U8:
     return np.asarray(cv2.resize(other, right.shape[1::-1]), np.uint8)
 
 
+def slipped(right: U8) -> U8:
+    """A fifth of the rows comes eight columns late."""
+    out, height = right.copy(), len(right)
+    out[2 * height // 5 : 3 * height // 5] = np.roll(right[2 * height // 5 : 3 * height // 5], -8, axis=1)
+    return out
+
+
+def warped(image: U8, du: np.ndarray, dv: np.ndarray | float = 0.0) -> U8:
+    v, u = np.indices(image.shape[:2])
+    columns, rows = np.asarray(u + du, np.float32), np.asarray(v + dv, np.float32)
+    return np.asarray(cv2.remap(image, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8)
+
+
+def wobbling(image: U8) -> U8:
+    """Rows swing along themselves by two pixels, four times from top to bottom."""
+    height = len(image)
+    return warped(image, 2 * np.sin(2 * np.pi * 4 * np.arange(height) / height)[:, None])
+
+
+def under_a_drop(image: U8) -> U8:
+    """A drop in the middle magnifies what lies behind it by a tenth."""
+    v, u = np.indices(image.shape[:2]) - np.array(image.shape[:2]).reshape(2, 1, 1) / 2
+    gain = -0.1 * np.clip(1 - (u**2 + v**2) / (0.35 * len(image)) ** 2, 0, 1)
+    return warped(image, gain * u, gain * v)
+
+
 def both(change: Callable[[U8], U8]) -> Callable[[U8, U8], Eyes]:
     return lambda left, right: (change(left), change(right))
 
@@ -55,6 +81,9 @@ FAULTS: dict[str, tuple[Callable[[U8, U8], Eyes], str, str]] = {
     "out_of_focus": (both(lambda x: sensor(cv2.GaussianBlur(x, (0, 0), 6), 3)), "degraded", "OUT_OF_FOCUS"),
     "mud1": (lambda left, right: (muddy(left), right), "degraded", "VALID_SHARE_FELL"),
     "mud2": (lambda left, right: (left, muddy(right)), "degraded", "VALID_SHARE_FELL"),
+    "slipped_rows": (lambda left, right: (left, slipped(right)), "degraded", "PARTS_DISAGREE"),
+    "wobbling_rows": (lambda left, right: (left, wobbling(right)), "degraded", "PARTS_DISAGREE"),
+    "drop": (lambda left, right: (left, under_a_drop(right)), "degraded", "PARTS_DISAGREE"),
     "half_size": (both(lambda x: x[::2, ::2]), "failed", "SIZE_MISMATCH"),
 }  # fmt: skip
 BYTES = {"empty": b"", "no_image": b"no image at all"}

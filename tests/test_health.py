@@ -100,7 +100,7 @@ def pair_of(flat: Any, turn: tuple[float, float, float] = (1, 0, 0)) -> tuple[Re
 
 def rows_of(pair: RectifiedPair, disparity: Disparity) -> float:
     left, right = (cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.uint8) for image in (pair.left, pair.right))
-    return rows.row_shift(left, right, disparity, pair.rig.disparity_offset_px)
+    return rows.row_shift(left, right, disparity, pair.rig.disparity_offset_px).systematic
 
 
 def codes(pair: RectifiedPair, disparity: Disparity) -> list[str]:
@@ -178,6 +178,40 @@ def test_a_frozen_eye_is_told_also_after_a_frame_that_failed() -> None:
     frames = [line(0), line(1, status="failed"), line(2, images=["l0", "new"]), line(3), line(4, images=["x", "r3"])]
     assert judged(frames) == [[], [], ["FRAME_FROZEN"], [], ["FRAME_FROZEN"]]
     assert judged(frames, Watch(CONFIG.model_copy(update={"refuse_frozen": False}))) == [[]] * 5
+
+
+def test_a_ring_buffer_that_repeats_itself_is_told() -> None:
+    ring = [line(i, images=[f"l{i % 3}", f"r{i % 3}"]) for i in range(7)]
+    assert judged(ring) == [[]] * 3 + [["FRAME_FROZEN"]] * 4
+    assert judged(ring, Watch(CONFIG.model_copy(update={"frozen_history": 2}))) == [[]] * 7
+    far = [line(i) for i in range(CONFIG.frozen_history)]
+    assert judged([*far, line(64, images=["l0", "new"])])[-1] == ["FRAME_FROZEN"]
+
+
+def with_lumps(index: int, *middles: tuple[float, float, float]) -> FrameLines:
+    entry = line(index)
+    ores = [{"id": i, "surface_centroid": {"camera": list(at)}, "reasons": []} for i, at in enumerate(middles, 1)]
+    record = json.loads(entry.record) | {"ores": ores, "targets": [ore["id"] for ore in ores]}
+    return replace(entry, record=json.dumps(record))
+
+
+def confirmed(frames: list[FrameLines], confirm: bool = True) -> list[list[int]]:
+    watch = Watch(CONFIG.model_copy(update={"confirm": confirm}))
+    return [json.loads(watch.judge(entry).record)["targets"] for entry in frames]
+
+
+def test_what_the_frame_before_did_not_show_is_no_target_where_that_is_wanted() -> None:
+    still, near, flake = (0.5, 0.2, 3.0), (0.55, 0.2, 3.05), (0.0, 0.0, 2.0)
+    frames = [with_lumps(0, still), with_lumps(1, flake, near), with_lumps(2, still)]
+    assert confirmed(frames) == [[], [2], [1]]
+    assert confirmed(frames, confirm=False) == [[1], [1, 2], [1]]
+
+
+def test_an_unconfirmed_target_says_so_and_is_not_counted() -> None:
+    watch = Watch(CONFIG.model_copy(update={"confirm": True}))
+    record = json.loads(watch.judge(with_lumps(0, (0.0, 0.0, 2.0))).record)
+    assert (record["status"], record["counts"]["targets"]) == ("ok", 0)
+    assert [reason["code"] for reason in record["ores"][0]["reasons"]] == ["NOT_CONFIRMED"]
 
 
 def test_fewer_disparities_than_usual_are_told_for_as_long_as_they_last() -> None:

@@ -86,6 +86,27 @@ def test_overwriting_removes_the_other_run_s_files_only(tmp_path: Path) -> None:
     assert sorted(file.name for file in tmp_path.rglob("*") if file.is_file()) == ["notes.txt", "run.json"]
 
 
+@pytest.mark.parametrize("name", ["overlays", "clouds", "frames.jsonl", "frames.jsonl.part", "run.json"])
+def test_a_link_in_the_folder_is_not_followed(name: str, tmp_path: Path) -> None:
+    fill(tmp_path / "out", range(2))
+    foreign = tmp_path / "foreign"
+    foreign.mkdir()
+    (foreign / "000000.png").write_bytes(b"not ours")
+    place = tmp_path / "out" / name
+    place.unlink(missing_ok=True)
+    place.symlink_to(foreign / "000000.png" if "." in name else foreign)
+    with pytest.raises(OutputError, match=f"{name}.*link"):
+        RunFolder(tmp_path / "out", {"other": 1}, resume=False, overwrite=True)
+    assert (foreign / "000000.png").read_bytes() == b"not ours"
+
+
+def test_the_folder_itself_may_be_a_link(tmp_path: Path) -> None:
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "out").symlink_to(tmp_path / "disk")
+    fill(tmp_path / "out", range(2))
+    assert (tmp_path / "disk" / "frames.jsonl").is_file()
+
+
 def test_a_folder_that_holds_no_run_keeps_its_files(tmp_path: Path) -> None:
     (tmp_path / "clouds").mkdir()
     (tmp_path / "clouds" / "mine.ply").write_text("")

@@ -239,6 +239,18 @@ def test_damage_in_the_middle_is_seen(suffix: str, tmp_path: Path, capfd: pytest
     assert capfd.readouterr().err == ""
 
 
+def test_a_jpeg_of_many_scans_is_refused_before_it_is_decoded(tmp_path: Path) -> None:
+    path = tmp_path / "many.jpg"
+    _, data = cv2.imencode(".jpg", np.zeros((64, 64, 3), np.uint8), [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])
+    whole = data.tobytes()
+    path.write_bytes(whole)
+    assert read_image(path).shape == (64, 64, 3)
+    scan = whole[whole.index(b"\xff\xda") : -2]
+    path.write_bytes(whole[:-2] + 300 * scan + whole[-2:])
+    with pytest.raises(FrameError, match="scans"):
+        read_image(path)
+
+
 def test_what_others_write_to_stderr_is_passed_on_and_is_no_damage(capfd: pytest.CaptureFixture[str]) -> None:
     def decode() -> int:
         os.write(2, b"error of another thread: premature\nCorrupt JPEG data: 7 extraneous bytes\n")

@@ -187,14 +187,21 @@ class HealthConfig(StageConfig):
         0.3, "share of the textured pixels that must be matched rightly, by the confidence of each", ge=0, lt=1
     )
     max_row_shift_rad: float = param(0.00025, "row difference of the matched eyes, over the focal length", "rad", gt=0)
+    max_local_row_shift_px: float = param(0.4, "and what a part of the image may differ by beyond that", "px", gt=0)
     min_brightness: float = param(24, "grey level that 5 % of the pixels reach, in the darker eye", ge=0, le=255)
     min_fine_detail: float = param(0.014, "energy of the finest detail in both eyes, over that of coarse detail", ge=0)
     max_screen_offset: float = param(
         4.0, "distance of the screen seen from the site's plane, in standard deviations of a depth", gt=0
     )
     max_screen_tilt_rad: float = param(0.026, "angle between them, or more where noise makes more", "rad", gt=0, lt=1)
+    max_bar_shift: float = param(
+        0.1, "largest distance of bars from their place that is corrected, in openings", gt=0, le=0.5
+    )
+    max_bad_rows: float = param(0.04, "share of the rows in which bars may be measured elsewhere", ge=0, le=1)
     least_screen: float = param(0.15, "share of the points that a plane must have to be the screen", gt=0, lt=1)
-    refuse_frozen: bool = param(True, "a frame with an eye's image equal to the last, pixel for pixel, is degraded")
+    refuse_frozen: bool = param(True, "a frame with an eye's image equal to an earlier one, to the pixel, is degraded")
+    frozen_history: int = param(64, "earlier frames looked at: a ring buffer repeats itself", ge=1, le=10_000)
+    confirm: bool = param(False, "a target must have been a lump at the same place in the frame before")
     min_of_usual: float = param(0.6, "share of the valid disparities that good frames before had", ge=0, lt=1)
     history: int = param(20, "good frames that say what is usual", ge=5, le=10_000)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -27,6 +28,8 @@ Json = dict[str, Any]
 CLOUD_COLUMNS = ("x", "y", "z", "red", "green", "blue", "ore_id", "score")
 STAGE_KINDS = {"disparity": "f", "voxel_xyz": "f", "keep": "b", "score": "f", "ore_id": "i", "ore_map": "i"}
 """Arrays of a frame's stages, and their kinds of NumPy types."""
+HALF_PAIR = re.compile(r"\\u[dD][89a-fA-F]")
+"""Beginning or end of a surrogate pair in JSON."""
 
 
 @dataclass(frozen=True)
@@ -197,6 +200,9 @@ def _objects(file: Path) -> Iterator[Json]:
 def _object(text: str, file: Path, number: int) -> Json:
     try:
         value = json.loads(text, parse_float=_finite, parse_constant=_finite)
+        if HALF_PAIR.search(text):
+            # Half of a surrogate pair is JSON, but no text that a file or a table can hold.
+            json.dumps(value, ensure_ascii=False).encode()
     except (ValueError, RecursionError):
         value = None
     if not isinstance(value, dict):

@@ -21,6 +21,8 @@ from stereo_ore.io.ore_table import ores_csv
 LINES = ("frames.jsonl", "timings.jsonl", "inputs.jsonl")
 FRAME_FOLDERS = ("clouds", "overlays", "stages", "pictures")
 FRAME_SUFFIXES = (".ply", ".png", ".npz")
+WRITTEN = (*LINES, *(f"{name}.part" for name in LINES), *FRAME_FOLDERS, "run.json")
+"""What a run makes in its folder and writes into or removes from."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,7 @@ class RunFolder:
     def __init__(self, folder: Path, description: Mapping[str, Any], *, resume: bool, overwrite: bool) -> None:
         self.folder = folder
         self.description = dict(description, digest=digest(description))
+        self._check_links()
         earlier = self._check_earlier(resume, overwrite)
         make_folder(folder)
         if earlier and not resume:
@@ -109,6 +112,14 @@ class RunFolder:
 
     def _part(self, name: str) -> Path:
         return self.folder / f"{name}.part"
+
+    def _check_links(self) -> None:
+        """Refuse a link in the place of what is written: what it points to belongs to somebody else."""
+        for name in WRITTEN:
+            if (self.folder / name).is_symlink():
+                remedy = "Remove it, or name another --out; --out itself may be a link"
+                raise OutputError("is a link, and links in a folder of results aren't followed",
+                                  file=self.folder / name, remedy=remedy)  # fmt: skip
 
     def _check_earlier(self, resume: bool, overwrite: bool) -> bool:
         """Whether the folder holds a run that this one may continue or replace."""

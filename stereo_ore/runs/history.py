@@ -1,4 +1,4 @@
-"""What only a frame's predecessors tell: an image that is not new, and a view that has become worse.
+"""What only a frame's predecessors tell: an image that is not new, a view that has become worse, what was in the air.
 
 An ordered fold over the lines of a run, in the parent process: the same records come out for any number of workers,
 and a run that is continued starts from what was written before.
@@ -19,10 +19,12 @@ import numpy as np
 from stereo_ore.config import HealthConfig
 from stereo_ore.record import Json, to_line
 from stereo_ore.runs.folder import FrameLines
-from stereo_ore.types import U8, FrameResult, Reason
+from stereo_ore.types import F64, U8, FrameResult, Reason
 
 FEWEST_GOOD = 5
 """Good frames that are needed to say what is usual."""
+SAME_M, SAME_SHARE = 0.03, 0.03
+"""A lump is one of the frame before when the middles of what is seen are this near, or this share of the distance."""
 
 
 def fingerprints(result: FrameResult) -> list[str] | None:
@@ -48,32 +50,43 @@ class Watch:
     def __init__(self, config: HealthConfig, earlier: Iterable[FrameLines] = ()) -> None:
         self._config = config
         self._good: deque[float] = deque(maxlen=config.history)
-        self._images: list[str] | None = None
+        self._images: deque[list[str]] = deque(maxlen=config.frozen_history)
+        self._lumps = np.empty((0, 3))
         for lines in earlier:
             self._remember(json.loads(lines.record), _images(lines))
 
     def judge(self, lines: FrameLines) -> FrameLines:
         """The lines of the next frame; its record is degraded, without targets, where its predecessors say so."""
-        record, images = json.loads(lines.record), _images(lines)
+        read = record = json.loads(lines.record)
+        images = _images(lines)
         reasons = () if record["status"] == "failed" else (*self._frozen(images), *self._fallen(record))
         if reasons:
             record = _degraded(record, reasons)
+        elif self._config.confirm:
+            record = _confirmed(record, self._lumps)
+        if record is not read:
             lines = replace(lines, record=to_line(record))
         self._remember(record, images)
         return lines
 
     def _remember(self, record: Json, images: list[str] | None) -> None:
-        self._images = images or self._images
+        if images:
+            self._images.append(images)
+        if self._config.confirm:
+            self._lumps = _middles(record)
         if record["status"] in ("ok", "empty"):
             self._good.append(_valid_share(record))
 
     def _frozen(self, images: list[str] | None) -> Iterator[Reason]:
-        if not (self._config.refuse_frozen and images and self._images):
+        if not (self._config.refuse_frozen and images):
             return
-        same = [eye for eye, new, old in zip(("left", "right"), images, self._images, strict=True) if new == old]
-        if same:
-            text = f"the image of the {' and of the '.join(same)} eye is that of the frame before, pixel for pixel"
-            yield Reason("FRAME_FROZEN", f"{text}: does the camera still deliver?")
+        for ago, earlier in enumerate(reversed(self._images), 1):
+            same = [eye for eye, new, old in zip(("left", "right"), images, earlier, strict=True) if new == old]
+            if same:
+                before = "the frame before" if ago == 1 else f"the frame {ago} before"
+                text = f"the image of the {' and of the '.join(same)} eye is that of {before}, pixel for pixel"
+                yield Reason("FRAME_FROZEN", f"{text}: does the camera still deliver?")
+                return
 
     def _fallen(self, record: Json) -> Iterator[Reason]:
         if len(self._good) < FEWEST_GOOD:
@@ -92,6 +105,23 @@ def _images(lines: FrameLines) -> list[str] | None:
 def _valid_share(record: Json) -> float:
     counts = record["counts"]
     return float(counts["disparities"] / max(counts["pixels"], 1))
+
+
+def _middles(record: Json) -> F64:
+    """Middles of what is seen of the lumps (N, 3) [m]."""
+    return np.array([ore["surface_centroid"]["camera"] for ore in record["ores"]], float).reshape(-1, 3)
+
+
+def _confirmed(record: Json, before: F64) -> Json:
+    """The record without targets that the frame before did not show: what flies is elsewhere in each."""
+    new = [id for id, middle in zip((ore["id"] for ore in record["ores"]), _middles(record), strict=True)
+           if not (np.linalg.norm(before - middle, axis=1) < max(SAME_M, SAME_SHARE * middle[2])).any()]  # fmt: skip
+    if not set(new) & set(record["targets"]):
+        return record
+    reason = {"code": "NOT_CONFIRMED", "detail": "the frame before shows no lump here (health.confirm)"}
+    ores = [ore | {"reasons": [*ore["reasons"], reason]} if ore["id"] in new else ore for ore in record["ores"]]
+    targets = [id for id in record["targets"] if id not in new]
+    return record | {"ores": ores, "targets": targets, "counts": record["counts"] | {"targets": len(targets)}}
 
 
 def _degraded(record: Json, reasons: Iterable[Reason]) -> dict[str, Any]:

@@ -8,15 +8,30 @@ import numpy as np
 
 from stereo_ore.config import Config
 from stereo_ore.stages import cloud, grizzly, matching
-from stereo_ore.types import Background, Disparity, Grizzly, PointCloud, RectifiedPair, Region, Rig, Site, Surface
+from stereo_ore.types import (
+    Background,
+    Disparity,
+    Grizzly,
+    PointCloud,
+    RectifiedPair,
+    Region,
+    Registration,
+    Rig,
+    Site,
+    Surface,
+)
 
 
 @dataclass(frozen=True)
 class EmptyScreen:
-    """The model of the empty screen, and the grizzly found in it."""
+    """The model of the empty screen, with the bars where the site has them, and the grizzly found in it.
+
+    `registration` is how far from there they were measured: the matcher's own bias, for frames to be rid of it as well.
+    """
 
     background: Background
     grizzly: Grizzly
+    registration: Registration | None = None
 
 
 def load(rig: Rig, region: Region, site: Site, config: Config) -> EmptyScreen | None:
@@ -33,9 +48,14 @@ def load(rig: Rig, region: Region, site: Site, config: Config) -> EmptyScreen | 
         return None
     background = matching.background.load(site.background)
     matching.background.check_size(background, rig.height, rig.width)
-    surface = _surface(background, rig, region, site, config)
-    found = grizzly.find(surface, site, config.grizzly)
-    return EmptyScreen(background, found if site.plane is not None else replace(found, source="background"))
+    sure = np.where(np.isfinite(background.disparity), np.float32(1), np.float32(np.nan))
+    disparity, moved = Disparity(background.disparity, region, sure), None
+    if site.plane is not None:
+        moved = grizzly.register(disparity, rig, site.plane, site, config.grizzly)
+        disparity = grizzly.corrected(disparity, moved, rig)
+        background = replace(background, disparity=disparity.values)
+    found = grizzly.find(_surface(disparity, rig, site, config), site, config.grizzly)
+    return EmptyScreen(background, found if site.plane is not None else replace(found, source="background"), moved)
 
 
 def new_on(empty: EmptyScreen, disparity: Disparity, surface: Surface) -> Surface:
@@ -49,11 +69,9 @@ def new_on(empty: EmptyScreen, disparity: Disparity, surface: Surface) -> Surfac
     return replace(surface, xyz=np.where(old[..., None], np.float32(np.nan), surface.xyz))
 
 
-def _surface(background: Background, rig: Rig, region: Region, site: Site, config: Config) -> Surface:
+def _surface(disparity: Disparity, rig: Rig, site: Site, config: Config) -> Surface:
     """The empty screen in metres; its colours were not kept."""
     black = np.zeros((rig.height, rig.width, 3), np.uint8)
     pair = RectifiedPair(black, black, rig)
-    sure = np.where(np.isfinite(background.disparity), np.float32(1), np.float32(np.nan))
-    disparity = Disparity(background.disparity, region, sure)
     points: PointCloud = cloud.reproject(disparity, pair, site.volume, config.cloud, config.matching.sigma_px)
-    return cloud.surface(points, np.ones(len(points), bool), pair, region)
+    return cloud.surface(points, np.ones(len(points), bool), pair, disparity.region)

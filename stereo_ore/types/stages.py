@@ -174,6 +174,24 @@ class Bars:
 
 
 @dataclass(frozen=True)
+class Registration:
+    """How the bars' disparity differs from that of the plane where they are known to be.
+
+    `field_px` (3,) is the difference c·(1, x, y) [px] at x = (u − cx)/fx, y = (v − cy)/fy; `offset_m` how far the bars
+    seem to lie above that plane, in the median; `tilt_rad` the angle between both planes; `worst_m` the largest
+    distance between them over the bars that were seen.
+    """
+
+    field_px: F64
+    offset_m: float
+    tilt_rad: float
+    worst_m: float
+
+    def __post_init__(self) -> None:
+        check_shape(self, "field_px", self.field_px, 3)
+
+
+@dataclass(frozen=True)
 class Grizzly:
     """The screen: plane of the bar tops, where it came from, its residual, and the bars when they are known."""
 
@@ -183,6 +201,7 @@ class Grizzly:
     bars: Bars | None = None
     opening_m: float | None = None
     diagnostics: Mapping[str, Any] = field(default_factory=dict)
+    registration: Registration | None = None
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -21,26 +23,38 @@ def faults(
     count: Annotated[int, typer.Option(min=1, help="How many scenes.")] = 10,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the first scene; each next one counts up.")] = 0,
     size: Annotated[str, typer.Option(help="VGA, HD720, HD1080 or 2K.")] = "VGA",
+    scenes: Annotated[
+        list[Path] | None, typer.Option(help="Folders of a scene with truth, in the place of made-up ones.")
+    ] = None,
+    only: Annotated[str, typer.Option(help="Faults whose name this regular expression is found in.")] = "",
     settings: Annotated[list[str] | None, typer.Option("--set", help="One parameter: key.sub=value.")] = None,
 ) -> None:
-    """Plant swapped, covered and frozen eyes, wrong calibrations and a bumped camera in scenes of many seeds.
+    """Plant wrong calibrations, sites, eyes and images in scenes whose truth is known.
 
-    Ends with code 3 when a fault left a target, or a sound frame lost all of its own.
+    Ends with code 3 when a frame that is ok has a wrong target (`wrong_ok_frames`: a strike more than 30 mm, or 3 % of
+    its distance, off each lump), or a sound frame was refused.
 
     Example: `stereo-ore bench faults --family paper --family large --count 100`
     """
     from stereo_ore.io.parameters import load_config
     from stereo_ore.lab import synth
+    from stereo_ore.lab.bench import fault_scenes
     from stereo_ore.lab.bench import faults as bench
 
     config, families = load_config(None, settings or []), family or ["paper", "large"]
+
+    def planted() -> Iterator[fault_scenes.Planted]:
+        yield from map(fault_scenes.traced, scenes or ())
+        for place in range(0 if scenes else count):
+            spec = synth.sample_spec(seed + place, families[place % len(families)], size)
+            yield fault_scenes.made(synth.scene(replace(spec, supersampling=1)))
+
     rows: dict[str, bench.Row] = {}
-    for place in range(count):
-        spec = replace(synth.sample_spec(seed + place, families[place % len(families)], size), supersampling=1)
-        for name, record in bench.plant(synth.scene(spec), config):
+    for scene in planted():
+        for name, record in bench.plant(scene, config, only, seed):
             row = rows.setdefault(name, bench.Row(name))
-            if fault := row.add(record):
-                log.warning("%s, %s: %s", spec.name, name, fault)
+            if fault := row.add(record, 0 if record is None else scene.wrong_targets(record)):
+                log.warning("%s, %s: %s", scene.name, name, fault)
     typer.echo(bench.markdown(list(rows.values())))
-    if any(row.wrong for row in rows.values()):
+    if any(row.failed for row in rows.values()):
         raise typer.Exit(3)

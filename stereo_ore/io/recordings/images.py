@@ -29,6 +29,8 @@ TURNS = {3: "by 180°", 6: "by 90° clockwise", 8: "by 90° anticlockwise"}
 """Exif's orientations in words; the others mirror."""
 BRIGHT_SHARE = 1e-4
 """Share of the pixels that may be brighter than the depth of the recording allows: defects of the sensor."""
+MOST_SCANS = 64
+"""Scans of a progressive JPEG: decoders go through the whole picture for each, whatever little it holds."""
 
 
 def is_image(path: Path) -> bool:
@@ -170,6 +172,9 @@ def _check(path: Path, data: bytes, max_pixels: int) -> None:
     if not data:
         raise FrameError("is empty", code="UNREADABLE_IMAGE", file=path, remedy="Record or copy it again")
     _check_complete(path, data)
+    if data.startswith(b"\xff\xd8") and (scans := data.count(b"\xff\xda")) > MOST_SCANS:
+        problem = f"has {scans:,} scans; a camera's JPEG has at most {MOST_SCANS}"
+        raise FrameError(problem, code="UNREADABLE_IMAGE", file=path, remedy="Record or copy it again")
     _check_claim(path, data, max_pixels)
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from stereo_ore.errors import SourceError
 from stereo_ore.lab import metrics
 from stereo_ore.lab.evaluate.truth import Truth
 from stereo_ore.types import F32, F64, Mask
@@ -44,6 +45,9 @@ def score(
         scene, status, match, filter, baseline, ores, solid, strike, and `lumps`: a row for each wanted lump.
     """
     ore = truth.instance >= 2
+    if stages["disparity"].shape != ore.shape:
+        problem = f"is of images of {stages['disparity'].shape[::-1]} pixels, the truth of {ore.shape[::-1]}"
+        raise SourceError(f"the result of {record['frame']} {problem}", file=truth.name, remedy="Is it this scene's?")
     xyz, keep = stages["voxel_xyz"], stages["keep"].astype(bool)
     noise = metrics.is_noise(xyz, truth.disparity, truth.K, truth.focal_baseline)
     quality = metrics.filter_quality(noise, ~keep).as_dict()

@@ -13,6 +13,8 @@ from stereo_ore.errors import SourceError
 from stereo_ore.io.npz_io import load_arrays
 from stereo_ore.types import F64, I32
 
+LUMP_KEYS = ("com_left_mm", "com_world_mm", "volume_mm3", "obb_dims_mm", "max_caliper_mm", "oversize")
+"""What gt.json must say of a lump that must be found."""
 MIN_PIXELS, MIN_VISIBLE = 400, 0.3
 """Lumps that show fewer pixels, or a smaller share of themselves, need not be found."""
 
@@ -86,7 +88,12 @@ def _truth(name: str, calib: dict[str, Any], truth: dict[str, Any], arrays: dict
         depth, instance = arrays["depth_left_rect_mm"], arrays["instance_left_rect"]
         reference = calib["reference_rectification"]
         K, focal_baseline = np.array(reference["P1"])[:, :3], -reference["P2"][0][3] / 1000
+    if depth.ndim != 2 or depth.shape != instance.shape:
+        raise ValueError(f"depth and instances have the shapes {depth.shape} and {instance.shape}")
     normal = np.array(truth["T_world_screen"], float)[:3, 2]
     lumps = {lump["id"]: lump for lump in truth["lumps"]}
     opening = truth["clear_opening_mm"] / 1000
-    return Truth(name, depth / 1000, instance.astype(np.int32), K, focal_baseline, lumps, opening, normal)
+    whole = Truth(name, depth / 1000, instance.astype(np.int32), K, focal_baseline, lumps, opening, normal)
+    if missing := [key for id_ in whole.wanted for key in LUMP_KEYS if key not in lumps[id_]]:
+        raise KeyError(missing[0])
+    return whole

@@ -4,6 +4,8 @@ The checks of one frame belong to the pipeline; those that need its predecessors
 """
 
 from stereo_ore.stages.health.eyes import doubts as eye_doubts
+from stereo_ore.stages.health.parts import judge_parts, row_doubts, without_doubtful
+from stereo_ore.stages.health.screen import bar_doubts
 from stereo_ore.stages.health.screen import doubts as screen_doubts
 
-__all__ = ["eye_doubts", "screen_doubts"]
+__all__ = ["bar_doubts", "eye_doubts", "judge_parts", "row_doubts", "screen_doubts", "without_doubtful"]

@@ -38,9 +38,13 @@ def doubts(pair: RectifiedPair, disparity: Disparity, config: HealthConfig) -> I
     left, right = (np.asarray(cv2.cvtColor(eye, cv2.COLOR_BGR2GRAY), np.uint8) for eye in (pair.left, pair.right))
     shift = row_shift(left, right, disparity, pair.rig.disparity_offset_px)
     limit = config.max_row_shift_rad * pair.rig.fy
-    if shift > limit:
+    if shift.local > config.max_local_row_shift_px:
+        wanted = f"{config.max_local_row_shift_px} px at most are wanted (health.max_local_row_shift_px)"
+        text = f"in a part of the image the rows of the eyes differ by {shift.local:.2f} px more than elsewhere"
+        yield Reason("PARTS_DISAGREE", f"{text}, {wanted}: is there a drop on a lens?")
+    if shift.systematic > limit:
         wanted = f"{limit:.2f} px at most are wanted (health.max_row_shift_rad)"
-        text = f"the rows of the eyes differ by {shift:.2f} px, {wanted}"
+        text = f"the rows of the eyes differ by {shift.systematic:.2f} px, {wanted}"
         yield Reason("ROWS_DISAGREE", f"{text}: is the calibration that of this camera? See calibrate check")
     yield from _image_doubts(left, right, disparity, pair.rig.disparity_offset_px, config)
 

@@ -28,6 +28,9 @@ ROUNDS, OUTLIER, ALIKE = 8, 2.0, 10
 """Rounds of reweighting; a residual of so many standard deviations counts a quarter; so many windows, which overlap or
 lie on one edge, err alike."""
 
+STRETCHES, FEWEST_PART = 12, 24
+"""Stretches of a strip that are parts of the image, and windows that are needed to judge one."""
+
 FAR_PX = 1.0
 """Row differences from which on the matcher is misled, so that patches are looked for in other rows as well."""
 PATCHES, PATCH_PX, ROWS_PX, WIDTH_PX = 12, 15, 8, 672
@@ -47,13 +50,26 @@ class Windows:
     v: F64
 
 
-def row_shift(left: U8, right: U8, disparity: Disparity, offset_px: float) -> float:
-    """Root mean square over the image of the systematic row difference [px] between the eyes; 0: unknown.
+@dataclass(frozen=True)
+class RowShift:
+    """Row difference between the eyes [px]; 0: unknown.
+
+    `systematic` is the root mean square over the image of its smooth part, which a calibration makes; `local` what is
+    left in the part of the image where it is largest.
+    """
+
+    systematic: float = 0.0
+    local: float = 0.0
+
+
+def row_shift(left: U8, right: U8, disparity: Disparity, offset_px: float) -> RowShift:
+    """The row difference between the eyes where they were matched.
 
     What a wrong calibration does to rows is smooth: a small rotation or scale of an eye adds a constant and parts that
     grow with x, y and x·y (`calibration.residual`). This field is fitted to the shifts of many windows, so that their
     noise averages out; the finest texture makes it up to 1.4 times too large. Two pixels and more mislead the matcher:
-    then it is the median of what some patches show that are looked for in other rows.
+    then it is the median of what some patches show that are looked for in other rows. What a drop on a lens does is
+    left over: the median size of what remains in each part of the image.
 
     Parameters
     ----------
@@ -66,10 +82,10 @@ def row_shift(left: U8, right: U8, disparity: Disparity, offset_px: float) -> fl
     """
     strips = [_strip_windows(left, right, disparity, offset_px, index) for index in range(STRIPS)]
     if sum(len(windows.u) for windows in strips) < FEWEST:
-        return 0.0
+        return RowShift()
     patches = np.concatenate([_strongest(windows, disparity.region) for windows in strips])
     far = _far_shift(left, right, patches, disparity.region)
-    return far if far > FAR_PX else _systematic(strips)
+    return RowShift(far) if far > FAR_PX else _fitted(strips, disparity.region)
 
 
 def strip(disparity: Disparity, middle: int, height: int) -> tuple[slice, Disparity]:
@@ -103,7 +119,9 @@ def _strip_windows(left: U8, right: U8, disparity: Disparity, offset_px: float, 
     if min(region.x1 - region.x0, rows.stop - rows.start) < WINDOW_STEPS * STEP_PX:
         none = np.empty(0)
         return Windows(none, none, none, none)
-    flat, seen = _one_surface(part.values[:, columns] - np.float32(offset_px))
+    matched = part.values[:, columns] - np.float32(offset_px)
+    in_right = matched <= np.arange(region.x0, region.x1, dtype=np.float32)
+    flat, seen = _one_surface(np.where(in_right, matched, np.float32(np.nan)))
     one, other = (smooth(image[rows], SMOOTHING_PX) for image in (left, right))
     shift, energy, sure = _window_shifts(one[:, columns], laid_over(other, flat, region.x0), seen)
     v, u = (STEP_PX * (place + WINDOW_STEPS / 2) for place in sure.nonzero())
@@ -157,8 +175,8 @@ def _sums(image: F32) -> F32:
     return np.asarray(cv2.boxFilter(blocks, -1, (WINDOW_STEPS,) * 2, anchor=(0, 0)), np.float32)[:-1, :-1]
 
 
-def _systematic(strips: list[Windows]) -> float:
-    """Root mean square of the smooth part of the shifts [px], less what their scatter alone makes of it."""
+def _fitted(strips: list[Windows], region: Region) -> RowShift:
+    """The smooth part of the shifts, less what their scatter alone makes of it, and what it leaves."""
     shift, u, v = (np.concatenate([getattr(w, name) for w in strips]) for name in ("shift", "u", "v"))
     x, y = (u - u.mean()) / WIDTH_PX, (v - v.mean()) / WIDTH_PX
     basis = np.column_stack([np.ones_like(x), x, y, x * y])
@@ -171,7 +189,16 @@ def _systematic(strips: list[Windows]) -> float:
         normal = np.einsum("ni,nj->ij", basis * weight[:, None], basis)
         field = np.einsum("ni,i->n", basis, np.linalg.lstsq(normal, np.einsum("ni,n->i", basis, weight * shift))[0])
     noise = basis.shape[1] * scatter**2 * ALIKE / len(shift)
-    return float(np.sqrt(max(np.mean(field**2) - noise, 0.0)))
+    systematic = float(np.sqrt(max(np.mean(field**2) - noise, 0.0)))
+    return RowShift(systematic, _largest_part(np.abs(shift - field), u, strips, region))
+
+
+def _largest_part(residual: F64, u: F64, strips: list[Windows], region: Region) -> float:
+    """Largest median of the residuals in stretches of the strips that have windows enough."""
+    place = ((u - region.x0) * STRETCHES / (region.x1 - region.x0)).astype(int)
+    place += STRETCHES * np.repeat(np.arange(len(strips)), [len(windows.u) for windows in strips])
+    count = np.bincount(place)
+    return max((float(np.median(residual[place == k])) for k in np.flatnonzero(count >= FEWEST_PART)), default=0.0)
 
 
 def _strongest(windows: Windows, region: Region) -> F64:

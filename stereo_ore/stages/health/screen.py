@@ -17,7 +17,7 @@ from stereo_ore.config import GrizzlyConfig, HealthConfig
 from stereo_ore.stages.grizzly.bars import BarFit
 from stereo_ore.stages.grizzly.plane import candidate_planes, refine
 from stereo_ore.stages.grizzly.sample import Sample, draw_sample, tolerances
-from stereo_ore.types import F64, Mask, Plane, Reason, Surface
+from stereo_ore.types import F64, Mask, Plane, Reason, Registration, Surface
 
 FEWEST_POINTS = 200
 WIDE = 0.7
@@ -82,6 +82,22 @@ def doubts(surface: Surface, plane: Plane, grizzly: GrizzlyConfig, config: Healt
         limits = f"allowed are {1000 * farthest:.0f} mm or {np.degrees(steepest):.1f}°, less of both together"
         text = f"the screen is seen {where} and turned by {np.degrees(found.tilt_rad):.1f}°, {limits}"
         yield Reason("SCREEN_MOVED", f"{text}: was the camera moved, or is the calibration of another one?")
+
+
+def bar_doubts(moved: Registration | None, opening_m: float | None, config: HealthConfig) -> Iterator[Reason]:
+    """SCREEN_MOVED where the bars were measured farther from their place than may be corrected.
+
+    Their whole plane counts, which thousands of pixels tell to millimetres, not the noise of one depth.
+    """
+    if moved is None or opening_m is None or moved.worst_m <= config.max_bar_shift * opening_m:
+        return
+    where = f"{1000 * abs(moved.offset_m):.0f} mm {'above' if moved.offset_m > 0 else 'below'} their place"
+    text = f"the bars are measured {where}, turned by {np.degrees(moved.tilt_rad):.2f}°"
+    limit = (
+        f"up to {1000 * moved.worst_m:.0f} mm off, {1000 * config.max_bar_shift * opening_m:.0f} mm may be corrected"
+    )
+    remedy = "was the camera moved, or is the calibration of another one?"
+    yield Reason("SCREEN_MOVED", f"{text} and {limit} (health.max_bar_shift): {remedy}")
 
 
 def deviation(

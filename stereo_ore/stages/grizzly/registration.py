@@ -1,0 +1,162 @@
+"""Where the bars are measured against where they are known to be, and the disparity with that difference taken off.
+
+The disparity of a plane is linear in the pixel, and so is what a wrong baseline, principal column or offset adds to it,
+or a camera that was nudged. Bars make up thousands of pixels, so this field is measured to hundredths of a pixel, where
+a single depth is off by several of its standard deviations before a check of the screen dares to speak.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stereo_ore.config import GrizzlyConfig
+from stereo_ore.stages.grizzly.bars import BarFit, fit_bars
+from stereo_ore.stages.grizzly.sample import Sample, tolerances
+from stereo_ore.types import F32, F64, Disparity, Mask, Plane, Registration, Rig, Site
+
+SAMPLE = 16_000
+"""Pixels looked at."""
+WINDOW = 0.5
+"""Bars are looked for this far above and below their place [openings]; farther off the check of the screen tells."""
+BIN_PX, SMOOTH_BINS = 0.1, 7
+TUKEY_PX = (1.5, 1.0, 0.7, 0.5, 0.5)
+"""Residuals [px] beyond which a pixel has no weight, of successive fits (Beaton & Tukey 1974)."""
+INNER = 0.7
+"""Share of a bar's width that is looked at: its edges are smeared."""
+FEWEST, LEAST_WEIGHT = 300, 0.2
+"""Pixels on bars, with at least this weight in the last fit, that are needed."""
+LEAST_CONTRAST = 0.15
+"""Contrast of the bars in what is solid and open, below which it is not bars that were measured."""
+
+
+def register(disparity: Disparity, rig: Rig, plane: Plane, site: Site, config: GrizzlyConfig) -> Registration | None:
+    """How the bars' disparity differs from that of the plane where they are known to be.
+
+    Parameters
+    ----------
+    disparity : Disparity
+        As matched.
+    rig : Rig
+        Geometry of the rectified pair.
+    plane : Plane
+        Plane of the bar tops.
+    site : Site
+        Opening and width of the bars, as far as they are known, and the working volume.
+    config : GrizzlyConfig
+        Tolerances.
+
+    Returns
+    -------
+    Registration or None
+        None where too little of the bars is seen, or nothing near their place.
+    """
+    pixels = _draw(disparity, rig, plane, site)
+    near = pixels.where(np.abs(plane.height(pixels.xyz)) < WINDOW * _opening(site))
+    if len(near.excess) < FEWEST:
+        return None
+    field, _ = _tukey(near, np.array([_mode(near.excess), 0.0, 0.0]))
+    fit = _bars(pixels, rig, _plane(rig, plane, field), site, config)
+    if fit.bars is None or fit.contrast < LEAST_CONTRAST:
+        return None
+    inner = replace(fit, bars=replace(fit.bars, width_m=INNER * fit.bars.width_m))
+    on_bars = near.where(inner.covers(near.on(_plane(rig, plane, field))))
+    if len(on_bars.excess) < FEWEST:
+        return None
+    field, weight = _tukey(on_bars, field)
+    seen = on_bars.where(weight > LEAST_WEIGHT)
+    return _described(seen, rig, plane, field) if len(seen.excess) >= FEWEST else None
+
+
+def corrected(disparity: Disparity, registration: Registration | None, rig: Rig) -> Disparity:
+    """The disparity with the bars where they are known to be: all points move along their rays."""
+    if registration is None:
+        return disparity
+    region, values = disparity.region, disparity.values.copy()
+    x = (np.arange(region.x0, region.x1) - rig.cx) / rig.fx
+    y = (np.arange(region.y0, region.y1) - rig.cy) / rig.fy
+    constant, along_x, along_y = registration.field_px
+    values[region.slices] -= (constant + along_x * x).astype(np.float32)[None, :]
+    values[region.slices] -= (along_y * y).astype(np.float32)[:, None]
+    return replace(disparity, values=values)
+
+
+@dataclass(frozen=True)
+class _Pixels:
+    """Rays (N, 3) of pixels, z = 1; depth (N,) [m]; disparity over the plane's (N,) [px]; area of a pixel over z²."""
+
+    rays: F64
+    depth: F64
+    excess: F64
+    area: float
+
+    def where(self, mask: Mask) -> _Pixels:
+        return _Pixels(self.rays[mask], self.depth[mask], self.excess[mask], self.area)
+
+    @property
+    def xyz(self) -> F64:
+        """Where the points are, (N, 3) [m]."""
+        return np.asarray(self.rays * self.depth[:, None])
+
+    def on(self, plane: Plane) -> F64:
+        """Where the rays meet a plane, (N, 3) [m]."""
+        return np.asarray(self.rays * (plane.offset / (self.rays @ plane.normal))[:, None])
+
+
+def _draw(disparity: Disparity, rig: Rig, plane: Plane, site: Site) -> _Pixels:
+    """Pixels of a regular grid whose rays meet the plane in the working volume."""
+    region = disparity.region
+    step = max(1, int(np.sqrt((region.x1 - region.x0) * (region.y1 - region.y0) / SAMPLE)))
+    values: F32 = disparity.values[region.slices][::step, ::step]
+    v, u = np.nonzero(values + np.float32(rig.doffs_px) > 0)
+    total = values[v, u].astype(np.float64) + rig.doffs_px
+    rays = rig.back_project(u * step + region.x0, v * step + region.y0, np.ones(len(u)))
+    focal_baseline = rig.fx * rig.baseline_m
+    excess = np.asarray(total - focal_baseline * (rays @ plane.normal) / plane.offset)
+    pixels = _Pixels(rays, focal_baseline / total, excess, (step / rig.fx) ** 2)
+    return pixels if site.volume is None else pixels.where(site.volume.contains(pixels.on(plane)))
+
+
+def _opening(site: Site) -> float:
+    return site.opening_m if site.opening_m is not None else 0.3
+
+
+def _mode(excess: F64) -> float:
+    counts, edges = np.histogram(excess, np.arange(excess.min(), excess.max() + 2 * BIN_PX, BIN_PX))
+    smooth = np.convolve(counts, np.ones(SMOOTH_BINS), "same")
+    return float(edges[int(smooth.argmax())] + BIN_PX / 2)
+
+
+def _tukey(pixels: _Pixels, field: F64) -> tuple[F64, F64]:
+    """The field c·(x, y, 1) with Tukey's weights, and these (N,); `field` is ordered (constant, x, y)."""
+    basis = pixels.rays[:, [2, 0, 1]]
+    weight = np.ones(len(basis))
+    for width in TUKEY_PX:
+        residual = pixels.excess - basis @ field
+        weight = np.where(np.abs(residual) < width, (1 - (residual / width) ** 2) ** 2, 0.0)
+        # Sums without BLAS, whose order depends on the number of threads.
+        normal = np.einsum("ni,nj->ij", basis * weight[:, None], basis)
+        field = np.linalg.lstsq(normal, np.einsum("ni,n->i", basis, weight * pixels.excess), rcond=None)[0]
+    return field, weight
+
+
+def _plane(rig: Rig, plane: Plane, field: F64) -> Plane:
+    """The plane whose disparity is that of `plane` and the field."""
+    scaled = plane.normal / plane.offset + field[[1, 2, 0]] / (rig.fx * rig.baseline_m)
+    offset = float(np.sign(plane.offset) / np.linalg.norm(scaled))
+    return Plane(scaled * offset, offset)
+
+
+def _bars(pixels: _Pixels, rig: Rig, plane: Plane, site: Site, config: GrizzlyConfig) -> BarFit:
+    sigma = np.asarray(rig.depth_sigma(pixels.depth, 0.15))
+    sample = Sample(pixels.xyz, tolerances(sigma, config), pixels.area * pixels.depth**2)
+    return fit_bars(sample, plane, site.opening_m, site.bar_width_m, sharp=True)
+
+
+def _described(seen: _Pixels, rig: Rig, plane: Plane, field: F64) -> Registration:
+    measured = _plane(rig, plane, field)
+    height = plane.height(seen.on(measured))
+    tilt = float(np.arccos(np.clip(measured.normal @ plane.normal, -1, 1)))
+    worst = float(np.percentile(np.abs(height), 99))
+    return Registration(field, float(np.median(height)), tilt, worst)

@@ -1,0 +1,156 @@
+"""The bars measured against their place, and the rows that show them elsewhere, on analytic screens."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from screens import DISTANCE, OPENING, RIG, WIDTH, Screen, draw
+
+from stereo_ore.config import GrizzlyConfig, HealthConfig
+from stereo_ore.stages.grizzly import corrected, find, register
+from stereo_ore.stages.health import bar_doubts, judge_parts, row_doubts, without_doubtful
+from stereo_ore.types import (
+    F64,
+    Disparity,
+    OreMap,
+    Plane,
+    Reason,
+    Region,
+    Registration,
+    Rig,
+    Site,
+    Strike,
+    StrikePlan,
+)
+
+CONFIG, HEALTH = GrizzlyConfig(), HealthConfig()
+WIDE = Screen(half=5.0, noise_px=0.15, pit=0.5)
+ACROSS = replace(WIDE, yaw=1.2)
+"""Bars that all rows cross; of bars along the rows only the rows on them tell."""
+LUMPS = ((0.1, 0.05, 0.1, 0.12), (-0.4, -0.3, 0.05, 0.15))
+SITE = Site(opening_m=OPENING, bar_width_m=WIDTH)
+
+
+def seen(screen: Screen) -> Disparity:
+    surface, _ = draw(screen)
+    values = RIG.disparity(surface.xyz[..., 2]).astype(np.float32)
+    return Disparity(values, Region(0, 0, RIG.width, RIG.height, 0, 64))
+
+
+def field(coefficients: F64) -> F64:
+    v, u = np.mgrid[: RIG.height, : RIG.width]
+    return coefficients[0] + coefficients[1] * (u - RIG.cx) / RIG.fx + coefficients[2] * (v - RIG.cy) / RIG.fy
+
+
+def planted(disparity: Disparity, coefficients: F64) -> Disparity:
+    return replace(disparity, values=(disparity.values + field(coefficients)).astype(np.float32))
+
+
+def measured(disparity: Disparity, plane: Plane, rig: Rig = RIG, site: Site = SITE) -> Registration:
+    found = register(disparity, rig, plane, site, CONFIG)
+    assert found is not None
+    return found
+
+
+@given(st.floats(-0.3, 0.3), st.floats(0, np.pi), st.integers(0, 1000), st.sampled_from([(), LUMPS]))
+@settings(max_examples=15, deadline=None)
+def test_bars_at_their_place_are_measured_there(tilt: float, yaw: float, seed: int, lumps: tuple) -> None:
+    screen = replace(WIDE, tilt=tilt, yaw=yaw, seed=seed, lumps=lumps)
+    found = measured(seen(screen), screen.plane)
+    assert abs(found.offset_m) < 0.002
+    assert found.tilt_rad < np.radians(0.3)
+    assert found.worst_m < 0.03 * OPENING
+
+
+@given(st.floats(-0.4, 0.4), st.floats(-0.4, 0.4), st.floats(-0.4, 0.4), st.floats(0, np.pi))
+@settings(max_examples=15, deadline=None)
+def test_a_planted_field_is_measured_and_taken_off(constant: float, along_x: float, along_y: float, yaw: float) -> None:
+    screen = replace(WIDE, yaw=yaw, lumps=LUMPS)
+    sound, coefficients = seen(screen), np.array([constant, along_x, along_y])
+    faulty = planted(sound, coefficients)
+    found = measured(faulty, screen.plane)
+    left = field(found.field_px - coefficients)
+    assert np.abs(left).max() < 0.1
+    mended = corrected(faulty, found, RIG)
+    assert np.nanmax(np.abs(mended.values - sound.values)) < 0.1
+    assert not np.shares_memory(mended.values, faulty.values)
+
+
+@pytest.mark.parametrize("factor", [0.98, 0.99, 0.995, 1.005, 1.01, 1.02])
+def test_a_wrong_baseline_shows_as_bars_that_are_nearer_or_farther(factor: float) -> None:
+    disparity, wrong = seen(WIDE), replace(RIG, baseline_m=factor * RIG.baseline_m)
+    found = measured(disparity, WIDE.plane, wrong)
+    assert found.offset_m == pytest.approx((1 - factor) * DISTANCE, abs=0.002)
+    told = [reason.code for reason in bar_doubts(found, OPENING, HEALTH)]
+    assert told == (["SCREEN_MOVED"] if abs(1 - factor) * DISTANCE > HEALTH.max_bar_shift * OPENING else [])
+    depth = wrong.depth(corrected(disparity, found, wrong).values)
+    true = draw(replace(WIDE, noise_px=0.0))[0].xyz[..., 2]
+    bars = np.abs(WIDE.plane.height(draw(replace(WIDE, noise_px=0.0))[0].xyz)) < 0.001
+    assert abs(np.median((depth - true)[bars])) < 0.003
+
+
+def test_without_bars_nothing_is_measured_and_nothing_corrected() -> None:
+    floor = replace(WIDE, bars=False)
+    assert register(seen(floor), RIG, floor.plane, SITE, CONFIG) is None
+    assert corrected(seen(floor), None, RIG).values is not None
+    assert list(bar_doubts(None, OPENING, HEALTH)) == []
+
+
+def test_bars_far_from_their_place_are_left_to_the_check_of_the_screen() -> None:
+    far = Plane(WIDE.plane.normal, WIDE.plane.offset - 0.9 * OPENING)
+    found = register(seen(WIDE), RIG, far, SITE, CONFIG)
+    assert found is None or found.worst_m > HEALTH.max_bar_shift * OPENING
+
+
+def test_an_unknown_opening_is_no_obstacle() -> None:
+    assert abs(measured(seen(WIDE), WIDE.plane, site=Site()).offset_m) < 0.002
+
+
+def rows_told(disparity: Disparity) -> tuple[np.ndarray, list[str]]:
+    screen = replace(ACROSS, lumps=LUMPS)
+    surface, _ = draw(screen)
+    grizzly = find(surface, replace(SITE, plane=screen.plane), CONFIG)
+    parts = judge_parts(disparity, RIG, grizzly)
+    assert parts is not None
+    return parts.rows, [reason.code for reason in row_doubts(parts, HEALTH)]
+
+
+def test_sound_rows_are_not_told() -> None:
+    rows, codes = rows_told(seen(replace(ACROSS, lumps=LUMPS)))
+    assert (rows.sum(), codes) == (0, [])
+
+
+@pytest.mark.parametrize("shift_px", [-3.0, 2.0, 6.0])
+def test_rows_that_slipped_are_told_and_no_others(shift_px: float) -> None:
+    disparity = seen(replace(ACROSS, lumps=LUMPS))
+    disparity.values[100:160] += np.float32(shift_px)
+    rows, codes = rows_told(disparity)
+    assert codes == ["PARTS_DISAGREE"]
+    assert rows[55:75].all()
+    assert not rows[:45].any()
+    assert not rows[85:].any()
+
+
+def test_a_lump_on_the_comb_or_in_a_doubtful_row_is_no_target() -> None:
+    screen = replace(ACROSS, lumps=LUMPS)
+    surface, labels = draw(screen)
+    grizzly = find(surface, replace(SITE, plane=screen.plane), CONFIG)
+    disparity = seen(screen)
+    disparity.values[280:] += np.float32(3.0)
+    parts = judge_parts(disparity, RIG, grizzly)
+    assert parts is not None
+    height = np.abs(screen.plane.height(surface.xyz))
+    labels[(height < 0.001) & (np.arange(RIG.height)[:, None] < 60)] = 3
+    labels[284:, :60], labels[284:, 80:140] = 4, 5
+    strike = Strike(np.zeros(3), np.array([0, 0, 1.0]), 0.0, 0.0, 1.0)
+    plans = [StrikePlan((strike,))] * 4 + [StrikePlan((), (Reason("TOO_STEEP", "before"),))]
+    kept = without_doubtful(plans, OreMap(labels), disparity, parts)
+    assert [bool(plan.strikes) for plan in kept] == [True, True, False, False, False]
+    assert [[reason.code for reason in plan.reasons] for plan in kept[2:]] == [
+        ["ON_BARS"],
+        ["IN_BAD_ROWS"],
+        ["TOO_STEEP"],
+    ]
+    assert without_doubtful(plans, OreMap(labels), disparity, None) == tuple(plans)
