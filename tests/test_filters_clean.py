@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stereo_ore.cli.filter import _voxels
+from stereo_ore.types import bare_cloud as _voxels
 from stereo_ore.config import FilterConfig
 from stereo_ore.lab import synth
 from stereo_ore.lab.bench.clean import CLEAN, clean_clouds, planted_clouds, scan
