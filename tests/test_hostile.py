@@ -243,7 +243,7 @@ def test_hostile_pictures_fail_alone(scene: Path, recording: Path, tmp_path: Pat
     for place, (name, (_, code)) in enumerate(PICTURES.items(), 1):
         entry = found[f"{place:06d}"]
         assert (name, entry["status"], entry["reasons"][-1]["code"]) == (name, "failed", code)
-        assert f"left{place:06d}.png" in entry["reasons"][-1]["detail"]
+        assert f"left{place:06d}.png" in entry["reasons"][-1]["detail"] or code == "NO_POINTS"
 
 
 def test_unusual_pictures_are_read(scene: Path, tmp_path: Path, command: Any) -> None:

@@ -1,6 +1,7 @@
 """What image files say beside their pixels: where they end, turns, both eyes in one file, pages; depth of pixels."""
 
 import struct
+import zlib
 from pathlib import Path
 
 import cv2
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 from stereo_ore.errors import FrameError
 from stereo_ore.io.recordings import describe, jpeg, open_source
 from stereo_ore.io.recordings.image_header import claimed_size, tiff_pages
-from stereo_ore.io.recordings.images import depth_of, is_complete, read_image, to_8_bit
+from stereo_ore.io.recordings.images import depth_of, is_complete, read_image, to_8_bit, turn_of
 
 WIDTH, HEIGHT = 64, 48
 
@@ -105,11 +106,17 @@ def test_a_turn_of_one_eye_is_told_and_of_both_is_not_made(order: str, tmp_path:
     assert "left.jpg asks viewers to turn it by 180°, pixels are taken as stored" in describe(open_source(tmp_path))
 
 
+def test_a_turn_may_be_in_a_png_or_a_tiff() -> None:
+    plain = encoded(picture(), ".png")
+    content = b"eXIf" + exif(6)[6:]
+    chunk = struct.pack(">I", len(content) - 4) + content + struct.pack(">I", zlib.crc32(content))
+    assert (turn_of(plain), turn_of(plain[:33] + chunk + plain[33:])) == (1, 6)
+    assert turn_of(exif(8)[6:]) == 8
+
+
 @given(st.binary(max_size=60))
 @settings(deadline=None)
 def test_damaged_tags_turn_nothing(content: bytes) -> None:
-    from stereo_ore.io.recordings.images import turn_of
-
     assert isinstance(turn_of(with_segment(encoded(picture()), 0xE1, b"Exif\0\0II*\0" + content)), int)
 
 
@@ -135,6 +142,12 @@ def test_a_stereo_jpeg_says_which_eye_comes_first(tmp_path: Path) -> None:
     (tmp_path / "tall.jps").write_bytes(with_segment(plain, 0xE3, jps(4, 3)))
     with pytest.raises(FrameError, match="over and under, left eye on top"):
         open_source(tmp_path / "tall.jps").read(0)
+
+
+def test_a_folder_of_stereo_files_is_one_of_both_eyes_whatever_they_are_called(tmp_path: Path) -> None:
+    for name in ("left_wall.jps", "right_wall.jps"):
+        (tmp_path / name).write_bytes(encoded(np.hstack([picture(1), picture(2)])))
+    assert open_source(tmp_path).description == {"kind": "side-by-side images", "frames": 2}
 
 
 def mpo(pictures: list[bytes], kind: int = 0x020002) -> bytes:

@@ -203,3 +203,11 @@ def test_any_bytes_behind_a_magic_are_a_container_that_says_something_or_nothing
             path.write_bytes(magic + content)
             assert isinstance(read_container(path), Container)
         assert packing_of(b"\0\0\1\x06\x2d" + content) is None or content
+
+
+@pytest.mark.parametrize("kind", [b"mvhd", b"hdlr", b"stsd"])
+def test_a_box_without_content_says_nothing(kind: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "x.mp4"
+    inner = struct.pack(">I4s", 8, kind)
+    path.write_bytes(struct.pack(">I4s8s", 16, b"ftyp", b"isom") + struct.pack(">I4s", 16, b"moov") + inner)
+    assert read_container(path) == Container()

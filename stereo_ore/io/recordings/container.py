@@ -54,18 +54,17 @@ class Container:
 
 
 def read_container(path: Path) -> Container:
-    """What the container says of itself; of a damaged one, what was said before the damage."""
-    found = Container()
+    """What the container says of itself; of a damaged one nothing."""
     try:
         with path.open("rb") as file:
             magic = file.read(12)
             if magic.startswith(b"\x1a\x45\xdf\xa3"):
-                found = _matroska(file)
-            elif magic[4:8] in (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip"):
-                found = _mp4(file)
-    except (OSError, struct.error, ValueError, OverflowError):
-        return found
-    return found
+                return _matroska(file)
+            if magic[4:8] in (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip"):
+                return _mp4(file)
+    except (OSError, struct.error, ValueError, OverflowError, IndexError):
+        pass  # decoding will tell what is wrong with it
+    return Container()
 
 
 # --- Matroska

@@ -14,7 +14,8 @@ import numpy as np
 from stereo_ore.config.models import MAX_PIXELS
 from stereo_ore.errors import FrameError, SourceError
 from stereo_ore.io.recordings.base import make_pair, sampled_depth
-from stereo_ore.io.recordings.images import IMAGE_SUFFIXES, Image, check_alike, file_notes, read_both, to_8_bit
+from stereo_ore.io.recordings.both_eyes import file_notes
+from stereo_ore.io.recordings.images import IMAGE_SUFFIXES, STEREO_SUFFIXES, Image, check_alike, read_both, to_8_bit
 from stereo_ore.io.recordings.layouts import Eyes, Files, Listing, find_eyes, list_files
 from stereo_ore.io.recordings.names import frame_names, name_stamp, natural_key, split_name
 from stereo_ore.io.recordings.pairing import pair_by_stamp
@@ -122,10 +123,11 @@ def open_folder(path: Path, max_skew_ms: float = 5.0) -> ImagePairs | SideBySide
     """
     listing = list_files(path, IMAGE_SUFFIXES)
     eyes = find_eyes(listing, path.resolve().name)
-    if eyes.left and eyes.right:
-        return _paired(path, eyes, max_skew_ms)
     images = listing.get("", [])
-    if images and not (eyes.left or eyes.right):
+    of_both = bool(images) and all(file.suffix.lower() in STEREO_SUFFIXES for file in images)
+    if eyes.left and eyes.right and not of_both:
+        return _paired(path, eyes, max_skew_ms)
+    if of_both or (images and not (eyes.left or eyes.right)):
         images = sorted(images, key=lambda file: natural_key(file.stem))
         return SideBySideImages(path, frame_names([file.stem for file in images]), tuple(images))
     if not any(listing.values()):

@@ -19,10 +19,12 @@ from stereo_ore.io.recordings.quiet import overheard
 from stereo_ore.threads import pool
 from stereo_ore.types import U8
 
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".webp", ".jps", ".mpo")
+STEREO_SUFFIXES = (".jps", ".mpo")
+"""Files that hold both eyes, whatever they are called."""
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".webp", *STEREO_SUFFIXES)
 BYTES_PER_PIXEL, HEADER_BYTES = 8, 1_000_000
 """Four channels of 16 bit, uncompressed, and what else a file may hold."""
-_JPEG, _PNG, _TIFF = b"\xff\xd8", b"\x89PNG\r\n\x1a\n", (b"II", b"MM")
+JPEG, _PNG, _TIFF = b"\xff\xd8", b"\x89PNG\r\n\x1a\n", (b"II", b"MM")
 _PNG_END = b"IEND\xaeB`\x82"
 _DAMAGE = re.compile(rb"libpng error|TIFF_Error")
 TURNS = {3: "by 180°", 6: "by 90° clockwise", 8: "by 90° anticlockwise"}
@@ -73,61 +75,19 @@ def read_both(left: Path, right: Path, max_pixels: int = MAX_PIXELS) -> tuple[Im
     return one, other
 
 
-def read_side_by_side(path: Path, max_pixels: int = MAX_PIXELS) -> tuple[Image, Image]:
-    """Both eyes of a file that holds them beside each other or as two pictures, left eye first.
-
-    Which half is the left eye is what a JPEG stereo file says; of one that says nothing, the right half.
-
-    Raises
-    ------
-    FrameError
-        As `read_image`, and when the file says that its eyes are arranged otherwise.
-    """
-    data = read_bytes(path, max_pixels)
-    if pair := jpeg.pictures(data):
-        left, right = (decode_image(picture, path, max_pixels) for picture in pair)
-        check_alike(left, right, path, "its second picture")
-        return left, right
-    packing = packing_of(data, path)
-    image = decode_image(data, path, max_pixels)
-    return split_in_two(image, path, packing or "left-right")
-
-
-def packing_of(data: bytes, path: Path) -> str | None:
-    """What an image file says of its eyes; None: nothing."""
-    said = jpeg.jps_packing(data) if data.startswith(_JPEG) else None
-    return said or ("right-left" if path.suffix.lower() == ".jps" else None)
-
-
-def is_stereo_file(path: Path) -> bool:
-    """Whether an image file says of itself that it holds both eyes; errors as those of `read_image`."""
-    data = read_bytes(path)
-    return packing_of(data, path) is not None or bool(jpeg.pictures(data))
-
-
 def turn_of(data: bytes) -> int:
     """The turn that an image file asks viewers for, as Exif counts them; 1: none. Pixels are read as stored."""
-    if data.startswith(_JPEG):
+    if data.startswith(JPEG):
         return jpeg.orientation(data)
+    if data.startswith(_PNG):
+        place = data.find(b"eXIf", 8, data.find(b"IDAT", 8) + 1)
+        data = data[place + 4 :] if place > 0 else b""
     return int(tiff_tags(data).get(jpeg.ORIENTATION, 1)) if data.startswith(_TIFF) else 1
 
 
 def turn_words(turn: int) -> str:
     """A turn in words."""
     return TURNS.get(turn, "over" if turn in (2, 4, 5, 7) else "in no way")
-
-
-def file_notes(path: Path) -> tuple[str, ...]:
-    """What an image file says that is worth a word: which eye comes first, a turn that is not made."""
-    try:
-        data = read_bytes(path)
-    except FrameError:
-        return ()
-    turn, exchanged = turn_of(data), packing_of(data, path) == "right-left" and not jpeg.pictures(data)
-    return (
-        *([f"{path.name} says that the right eye comes first"] if exchanged else ()),
-        *([f"{path.name} asks viewers to turn it {turn_words(turn)}, pixels are taken as stored"] if turn != 1 else ()),
-    )
 
 
 def _check_turns(files: Sequence[tuple[Path, bytes]]) -> None:
@@ -194,7 +154,7 @@ def is_complete(data: bytes) -> bool | None:
 
     A file whose inside is damaged but whose last bytes are an end is complete: it will not get better.
     """
-    if data.startswith(_JPEG):
+    if data.startswith(JPEG):
         return data.endswith(b"\xff\xd9") or jpeg.end_of(data) is not None
     if data.startswith(_PNG):
         return data.endswith(_PNG_END) or claimed_size(data) is not None
@@ -304,33 +264,6 @@ def check_packing(packing: str, path: Path) -> None:
             code="SIZE_MISMATCH",
             file=path,
             remedy="Only pictures with both eyes beside each other are read; ffmpeg's filter stereo3d makes them",
-        )
-
-
-def check_eye_size(left: Image, eye_size: tuple[int, int] | None, path: Path) -> None:
-    """FrameError when a picture that was halved is that of one eye, or holds the eyes over and under.
-
-    Parameters
-    ----------
-    left
-        (H, W, 3) half of the picture.
-    eye_size
-        Width and height [px] of one eye of the calibration; None: not known.
-    path
-        For messages.
-    """
-    height, width = left.shape[:2]
-    arrangements = {
-        (width, height): "",
-        (2 * width, height): "one eye of the calibration: these are images of one eye, not side-by-side ones",
-        (2 * width, height // 2): "two eyes of the calibration over and under, not beside each other",
-    }
-    if eye_size and (found := arrangements.get(eye_size)):
-        raise FrameError(
-            f"is {2 * width}×{height} px, as {found}",
-            code="SIZE_MISMATCH",
-            file=path,
-            remedy="Give the folder or files of both eyes (--left, --right), or side-by-side images",
         )
 
 

@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import logging
 import os
-import re
-from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
 
 from stereo_ore.errors import SourceError
+from stereo_ore.io.recordings.marks import SEPARATORS, joined, marks, read_marks, without
 from stereo_ore.io.recordings.names import Side
 
 log = logging.getLogger(__name__)
@@ -62,24 +61,6 @@ LAYOUTS = (
     Layout("Middlebury 2005, 2006", "view1", "view5"),
 )
 """Layouts by the names of folders, then those by the names of files; the first that fits counts."""
-
-
-class Mark(NamedTuple):
-    """A word or letter in a name that tells an eye: what kind, which eye, from where to where."""
-
-    kind: str
-    side: Side
-    start: int
-    end: int
-
-
-_MARKS = re.compile(
-    r"(?P<word>(?:(?<![A-Za-z])(?:left|right|LEFT|RIGHT)|Left|Right)(?![a-z]))"
-    r"|(?P<letter>(?<![A-Z])[LR](?![A-Za-z]))"
-    r"|(?P<small>(?<![A-Za-z])[lr](?![A-Za-z]))"
-)
-_KINDS = ("word", "letter", "small")
-_SEPARATORS = "_-. "
 
 
 @dataclass
@@ -183,7 +164,7 @@ def _folder_marks(folders: Sequence[str]) -> dict[str, tuple[Side, str]]:
 
 
 def _folder_key(rest: str) -> str:
-    parts = [part.strip(_SEPARATORS) for part in rest.split("/")]
+    parts = [part.strip(SEPARATORS) for part in rest.split("/")]
     return "_".join(part for part in parts if part and part.lower() not in STRUCTURE)
 
 
@@ -206,7 +187,7 @@ def _keyed(folders: dict[str, tuple[Side, str]], listing: Listing, strip: bool) 
         for file in listing[folder]:
             stem = file.stem
             own = [mark for mark in marks(stem) if mark.side == side] if strip else []
-            eyes.add(side, _joined(prefix, _without(stem, own[-1:]) or stem), file)
+            eyes.add(side, joined(prefix, without(stem, own[-1:]) or stem), file)
     return eyes
 
 
@@ -220,88 +201,8 @@ def _by_file(listing: Listing, default_key: str) -> Eyes:
     read = read_marks([file.stem for _, file in places], [folder for folder, _ in places])
     for (folder, file), (side, key) in zip(places, read, strict=True):
         if side:
-            eyes.add(side, _joined(folder.replace("/", "_"), key) or default_key, file)
+            eyes.add(side, joined(folder.replace("/", "_"), key) or default_key, file)
     return eyes
-
-
-def marks(text: str) -> list[Mark]:
-    """The marks in a name, from the first to the last."""
-    found = []
-    for match in _MARKS.finditer(text):
-        side: Side = "left" if match[0][0] in "lL" else "right"
-        found.append(Mark(str(match.lastgroup), side, match.start(), match.end()))
-    return found
-
-
-def read_marks(texts: Sequence[str], groups: Sequence[str] = ()) -> list[tuple[Side | None, str]]:
-    """Eye and rest of each name, read alike for all of them; partners are in the same group (one, by default).
-
-    Of the ways to read them (which kind of mark, and the how manieth where a name has several) the one is taken by
-    which most find their partner; of equals the last mark, and words before letters.
-    """
-    found = [marks(text) for text in texts]
-    ways = [(kind, place) for kind in _KINDS for place in range(-1, -1 - _most(found, kind), -1)]
-    ways += [(kind, 0) for kind in _KINDS if _most(found, kind) > 1]
-    if not ways:
-        return [(None, text) for text in texts]
-    if len(ways) == 1 and ways[0][0] != "small":
-        return _read(texts, found, *ways[0])
-    readings = [_read(texts, found, kind, place) for kind, place in ways]
-    pairs = [_pairs(reading, groups or [""] * len(texts)) for reading in readings]
-    best = max(range(len(ways)), key=lambda number: (len(pairs[number]), -number))
-    if not pairs[best]:  # a small l or r alone is no mark: it must have its partner
-        best = next((number for number, (kind, _) in enumerate(ways) if kind != "small"), -1)
-        return readings[best] if best >= 0 else [(None, text) for text in texts]
-    _say_doubt(pairs[best], [other for other in pairs if len(other) == len(pairs[best])])
-    return readings[best]
-
-
-def _most(found: Sequence[Sequence[Mark]], kind: str) -> int:
-    """The most marks of a kind in one name."""
-    return max((sum(mark.kind == kind for mark in each) for each in found), default=0)
-
-
-def _read(
-    texts: Sequence[str], found: Sequence[Sequence[Mark]], kind: str, place: int
-) -> list[tuple[Side | None, str]]:
-    """Eye and rest by the mark of a kind at a `place` from the end (-1 the last); 0: by all, which must agree.
-
-    A name without such a mark is read by the last of its words or else letters, so that no eye is lost.
-    """
-    result: list[tuple[Side | None, str]] = []
-    for text, each in zip(texts, found, strict=True):
-        own = [mark for mark in each if mark.kind == kind]
-        used = own if place == 0 else own[place:][:1] if len(own) >= -place else []
-        for other in _KINDS[:2]:
-            used = used or [mark for mark in each if mark.kind == other][-1:]
-        sides = {mark.side for mark in used}
-        result.append((used[0].side, _without(text, used)) if len(sides) == 1 else (None, text))
-    return result
-
-
-def _without(text: str, used: Sequence[Mark]) -> str:
-    """What is left of a name without some of its marks."""
-    for mark in reversed(used):
-        text = _joined(text[: mark.start].rstrip(_SEPARATORS), text[mark.end :].lstrip(_SEPARATORS))
-    return text
-
-
-def _joined(*parts: str) -> str:
-    return "_".join(filter(None, parts))
-
-
-def _pairs(reading: Iterable[tuple[Side | None, str]], groups: Sequence[str]) -> frozenset[tuple[int, int]]:
-    """Numbers of the left and right name of each pair."""
-    sides: dict[Side, dict[tuple[str, str], int]] = {"left": {}, "right": {}}
-    for number, (side, key) in enumerate(reading):
-        if side:
-            sides[side][groups[number], key] = number
-    return frozenset((number, sides["right"][key]) for key, number in sides["left"].items() if key in sides["right"])
-
-
-def _say_doubt(taken: frozenset[tuple[int, int]], equals: Sequence[frozenset[tuple[int, int]]]) -> None:
-    if any(other != taken for other in equals):
-        log.warning("names can be read in more than one way; the last mark in a name is taken for the eye's")
 
 
 # --- by the names that recorders use
@@ -353,7 +254,7 @@ def _matches(listing: Listing, pattern: str, layout: Layout) -> Iterator[tuple[s
         prefix = _folder_key(folder.removesuffix(parent))
         for file in files:
             if (key := _key(file.stem, name)) is not None:
-                yield _joined(prefix, key), file
+                yield joined(prefix, key), file
 
 
 def _key(stem: str, pattern: str) -> str | None:
@@ -362,4 +263,4 @@ def _key(stem: str, pattern: str) -> str | None:
     if not star:
         return "" if stem == pattern else None
     fits = stem.startswith(before) and stem.endswith(after) and len(stem) > len(before) + len(after)
-    return stem[len(before) : len(stem) - len(after)].strip(_SEPARATORS) if fits else None
+    return stem[len(before) : len(stem) - len(after)].strip(SEPARATORS) if fits else None

@@ -13,14 +13,8 @@ import numpy as np
 from stereo_ore.config.models import MAX_PIXELS
 from stereo_ore.errors import SourceError
 from stereo_ore.io.recordings.base import make_pair, sampled_depth
-from stereo_ore.io.recordings.images import (
-    Image,
-    check_eye_size,
-    file_notes,
-    is_stereo_file,
-    read_side_by_side,
-    to_8_bit,
-)
+from stereo_ore.io.recordings.both_eyes import check_eye_size, file_notes, is_stereo_file, read_side_by_side
+from stereo_ore.io.recordings.images import Image, to_8_bit
 from stereo_ore.io.recordings.names import frame_names, split_name
 from stereo_ore.io.recordings.stamps import Stamp, file_stamp
 from stereo_ore.types import StereoCalibration, StereoPair

@@ -19,7 +19,8 @@ from stereo_ore.errors import FrameError, SourceError
 from stereo_ore.io.recordings.access_units import UnitDecoder, is_key
 from stereo_ore.io.recordings.bag_files import known_faults
 from stereo_ore.io.recordings.base import make_pair
-from stereo_ore.io.recordings.images import check_eye_size, split_in_two, to_8_bit
+from stereo_ore.io.recordings.both_eyes import check_eye_size
+from stereo_ore.io.recordings.images import split_in_two, to_8_bit
 from stereo_ore.io.recordings.mcap_file import McapFile
 from stereo_ore.io.recordings.names import frame_names, stamp_name
 from stereo_ore.io.recordings.stamps import Stamp

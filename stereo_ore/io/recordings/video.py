@@ -14,13 +14,13 @@ import numpy as np
 from stereo_ore.config.models import MAX_PIXELS
 from stereo_ore.errors import FrameError, SourceError
 from stereo_ore.io.recordings.base import make_pair
+from stereo_ore.io.recordings.both_eyes import check_eye_size
 from stereo_ore.io.recordings.container import Container, read_container
 from stereo_ore.io.recordings.frame_packing import packing_of
 from stereo_ore.io.recordings.images import (
     Image,
     as_bgr,
     check_alike,
-    check_eye_size,
     check_packing,
     check_pixels,
     split_in_two,
