@@ -3,11 +3,13 @@
 import gzip
 import logging
 import shutil
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rigs import SIZE, example_rig, same, write_opencv
+import yaml
+from rigs import SIZE, example_rig, same, write_opencv, write_ros
 
 from stereo_ore.errors import CalibrationError
 from stereo_ore.io.calibration import load, save
@@ -297,3 +299,50 @@ def test_a_baseline_of_a_metre_and_more_needs_the_unit(tmp_path: Path) -> None:
         load(path)
     assert load(path, unit_m=1.0).t_right_left[0] == pytest.approx(-1.2)
     assert same(rig, load(path, unit_m=0.1), 1e-11)
+
+
+def test_21_bag_topics_b_roi(shared_data: Path) -> None:
+    """The image is a window of the sensor: what is left of cx, cy is read off the message itself."""
+    pytest.importorskip("rosbags")
+    from stereo_ore.io.recordings import open_source
+
+    source = open_source(shared_data / "reports/21-bag-topics/b_roi")
+    assert source.calibration is not None
+    height, width = source.read(0).left.shape[:2]
+    assert source.calibration.image_size == (width, height) == (640, 480)
+    assert source.calibration.left.principal_point_px == pytest.approx((642.3 - 320, 361.7 - 120))
+    assert source.calibration.t_right_left[0] == pytest.approx(-0.12)
+
+
+def window(tmp_path: Path, **changes: object) -> Path:
+    """The example as camera_info files with a window and binning."""
+    path = write_ros(example_rig(), tmp_path)
+    for side in ("left", "right"):
+        document = yaml.safe_load((tmp_path / f"{side}.yaml").read_text())
+        (tmp_path / f"{side}.yaml").write_text(yaml.safe_dump(document | changes))
+    return path
+
+
+def test_a_window_and_binning_move_the_principal_point(tmp_path: Path) -> None:
+    whole = load(window(tmp_path))
+    roi = {"x_offset": 100, "y_offset": 60, "width": 1000, "height": 560}
+    part = load(window(tmp_path, roi=roi))
+    assert part.image_size == (1000, 560)
+    assert part.left.principal_point_px == pytest.approx(np.subtract(whole.left.principal_point_px, (100, 60)))
+    assert part.left.focal_px == whole.left.focal_px
+    binned = load(window(tmp_path, roi=roi, binning_x=2, binning_y=2))
+    assert binned.image_size == (500, 280)
+    assert binned.left.principal_point_px == pytest.approx(np.divide(part.left.principal_point_px, 2))
+    assert binned.left.focal_px == pytest.approx(np.divide(whole.left.focal_px, 2))
+    np.testing.assert_allclose(binned.t_right_left, whole.t_right_left, atol=1e-12)
+    ambiguous = {"x_offset": 100, "y_offset": 60, "width": 1280, "height": 720}
+    with pytest.raises(CalibrationError, match=r"either .* or K is that of the window"):
+        load(window(tmp_path, roi=ambiguous))
+
+
+def test_a_file_of_blank_lines_takes_no_longer_than_it_is_long(tmp_path: Path) -> None:
+    (tmp_path / "blank.yml").write_text("%YAML:1.0\nopencv: 1\n" + "\n" * 500_000)
+    start = time.process_time()
+    with pytest.raises(CalibrationError):
+        load(tmp_path / "blank.yml")
+    assert time.process_time() - start < 20

@@ -51,7 +51,7 @@ def plain_yaml(text: str) -> str:
     """The YAML that OpenCV writes as other readers take it: no directive, no tags, a blank behind ``data:``."""
     body = "\n".join(line for line in text.splitlines() if not line.startswith("%"))
     body = re.sub(r"!!(opencv-(nd-)?matrix|binary)", "", body)
-    return re.sub(r"^(\s*[\w.]+):(?=\[)", r"\1: ", body, flags=re.MULTILINE)
+    return re.sub(r"^([ \t]*[\w.]+):(?=\[)", r"\1: ", body, flags=re.MULTILINE)
 
 
 def _parse_xml(text: str) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from stereo_ore.io.calibration.formats import Hints, numbers, size_of, tell_unre
 from stereo_ore.io.calibration.geometry import make_calibration
 from stereo_ore.types import F64, CameraModel, StereoCalibration
 
-_CAMERA = re.compile(r"^\s*cam0\s*=\s*\[", re.MULTILINE)
+_CAMERA = re.compile(r"^[ \t]*cam0[ \t]*=[ \t]*\[", re.MULTILINE)
 _KNOWN = (
     "cam0",
     "cam1",

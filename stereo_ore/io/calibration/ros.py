@@ -118,13 +118,7 @@ def _windowed(file: Path, eye: dict[str, Any]) -> dict[str, Any]:
     full = eye["width"], eye["height"]
     size = (width or full[0], height or full[1])
     if x + size[0] > full[0] or y + size[1] > full[1]:
-        raise CalibrationError(
-            f"the window of {size[0]:g}×{size[1]:g} px at {x:g}, {y:g} is not in images of {full[0]:g}×{full[1]:g} px:"
-            " either the size is that of the window and K that of the whole sensor, or K is that of the window already",
-            file=file,
-            key="roi",
-            remedy="Write the size of the whole sensor, or offsets of 0 where K is that of the window",
-        )
+        x, y = _offset_of_whole(file, eye, (x, y), size)
     window = np.array([[1 / bin_x, 0, -x / bin_x], [0, 1 / bin_y, -y / bin_y], [0, 0, 1]])
     return eye | {
         "K": (window @ eye["K"].reshape(3, 3)).ravel(),
@@ -132,6 +126,33 @@ def _windowed(file: Path, eye: dict[str, Any]) -> dict[str, Any]:
         "width": float(size[0] // bin_x),
         "height": float(size[1] // bin_y),
     }
+
+
+def _offset_of_whole(
+    file: Path, eye: dict[str, Any], offset: tuple[float, float], size: tuple[float, float]
+) -> tuple[float, float]:
+    """The offset to take off, where the size is that of the window: all if K is that of the whole sensor, else none.
+
+    The reading whose principal point lies in the window is taken.
+
+    Raises
+    ------
+    CalibrationError
+        When both readings are possible, or none.
+    """
+    centre = eye["K"][2], eye["K"][5]
+    inside = [
+        all(0 < c - o * taken < n for c, o, n in zip(centre, offset, size, strict=True)) for taken in (True, False)
+    ]
+    if inside[0] != inside[1]:
+        return offset if inside[0] else (0.0, 0.0)
+    raise CalibrationError(
+        f"the size is that of the window of {size[0]:g}×{size[1]:g} px at {offset[0]:g}, {offset[1]:g}: "
+        "either K is that of the whole sensor, or K is that of the window already",
+        file=file,
+        key="roi",
+        remedy="Write the size of the whole sensor, or offsets of 0 where K is that of the window",
+    )
 
 
 def _eye(path: Path, text: str, hints: Hints) -> dict[str, Any]:

@@ -25,7 +25,7 @@ SIZES = {
 }
 """Width and height of one eye in each mode."""
 
-_SECTION = re.compile(r"^\s*\[(LEFT|RIGHT)_CAM_\w+\]", re.MULTILINE | re.IGNORECASE)
+_SECTION = re.compile(r"^[ \t]*\[(LEFT|RIGHT)_CAM_\w+\]", re.MULTILINE | re.IGNORECASE)
 _DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4")
 _CAMERA = ("fx", "fy", "cx", "cy")
 _STEREO = re.compile(r"(baseline|ty|tz|cv|rx|ry|rz)(_\w+)?")
