@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from stereo_ore.types import bare_cloud as _voxels
 from stereo_ore.config import FilterConfig
 from stereo_ore.lab import synth
 from stereo_ore.lab.bench.clean import CLEAN, clean_clouds, planted_clouds, scan
@@ -15,6 +14,7 @@ from stereo_ore.stages import filters
 from stereo_ore.stages.filters.evidence import quantiles, vote_scales
 from stereo_ore.stages.filters.scorer import Scorer
 from stereo_ore.types import F64
+from stereo_ore.types import bare_cloud as _voxels
 
 
 def kept(xyz: F64, method: str = "adaptive") -> np.ndarray:
