@@ -16,7 +16,7 @@ from stereo_ore.stages.grizzly.bars import BarFit, fit_bars
 from stereo_ore.stages.grizzly.sample import Sample, tolerances
 from stereo_ore.types import F32, F64, Disparity, Mask, Plane, Registration, Rig, Site
 
-SAMPLE = 16_000
+SAMPLE = 10_000
 """Pixels looked at."""
 WINDOW = 0.5
 """Bars are looked for this far above and below their place [openings]; farther off the check of the screen tells."""

@@ -9,20 +9,26 @@ import numpy as np
 
 from stereo_ore.config import HealthConfig
 from stereo_ore.stages.health.rows import laid_over, row_shift, smooth, strip
-from stereo_ore.types import F32, U8, Disparity, Reason, RectifiedPair
+from stereo_ore.types import F32, U8, Disparity, Reason, RectifiedPair, Registration
 
 FINE_PX, COARSE_PX = (0.7, 1.4), (2.8, 5.6)
 """Bands of detail [standard deviations of the smoothings between which it lies]: the finest that a lens in focus
 shows, and one that a blur of a few pixels leaves."""
+WITH_BARS = 1.5
+"""So many times the difference of neighbours is noise, and no chance, where bars were measured: eyes that don't agree
+show none, whatever the light."""
 DETAIL_ROWS = 160
 """Rows in the middle of the region on which detail is looked at."""
 
 
-def doubts(pair: RectifiedPair, disparity: Disparity, config: HealthConfig) -> Iterator[Reason]:
+def doubts(
+    pair: RectifiedPair, disparity: Disparity, config: HealthConfig, bars: Registration | None = None
+) -> Iterator[Reason]:
     """Why a disparity is too poor to act on.
 
     FEW_DISPARITIES: a covered lens, dust, no light. EYES_DISAGREE: swapped eyes, or eyes of two moments, match by
-    chance only, and neighbours differ. ROWS_DISAGREE: the calibration is not that of these images. TOO_DARK and
+    chance only, and neighbours differ; where `bars` were measured in one plane, noise alone makes such a difference.
+    ROWS_DISAGREE: the calibration is not that of these images. TOO_DARK and
     OUT_OF_FOCUS: disparities come out smooth and wrong.
     """
     # A ninth of the pixels tells a median or a percentile as well.
@@ -33,8 +39,9 @@ def doubts(pair: RectifiedPair, disparity: Disparity, config: HealthConfig) -> I
         yield Reason("FEW_DISPARITIES", f"{100 * share:.0f} % of the pixels searched have a disparity; {wanted}")
     spreads = disparity.cues["spread_px"][every][valid[region.slices][every]]
     spread = float(np.median(spreads)) if len(spreads) else 0.0
-    if spread > config.max_spread_px:
-        text = f"neighbouring disparities differ by {spread:.2f} px, {config.max_spread_px} px at most are wanted"
+    most = config.max_spread_px * (1.0 if bars is None else WITH_BARS)
+    if spread > most:
+        text = f"neighbouring disparities differ by {spread:.2f} px, {most:.2f} px at most are wanted"
         yield Reason("EYES_DISAGREE", f"{text}: are the eyes swapped, or of two moments?")
     left, right = (np.asarray(cv2.cvtColor(eye, cv2.COLOR_BGR2GRAY), np.uint8) for eye in (pair.left, pair.right))
     shift = row_shift(left, right, disparity, pair.rig.disparity_offset_px)
