@@ -159,4 +159,5 @@ def _described(seen: _Pixels, rig: Rig, plane: Plane, field: F64) -> Registratio
     height = plane.height(seen.on(measured))
     tilt = float(np.arccos(np.clip(measured.normal @ plane.normal, -1, 1)))
     worst = float(np.percentile(np.abs(height), 99))
-    return Registration(field, float(np.median(height)), tilt, worst)
+    px_m = float(rig.depth_sigma(np.median(seen.depth), 1.0)) * abs(float(plane.normal[2]))
+    return Registration(field, float(np.median(height)), tilt, worst, px_m)
