@@ -93,9 +93,9 @@ class Chain:
         site, config = self.site, self.config
         eyes = trace.reached("rectify", rectify.rectify(pair, self.rectifier))
         disparity = trace.reached("match", self._match(eyes, more))
-        trace.check(health.eye_doubts, eyes, disparity, config.health)
-        disparity, moved = self._register(disparity)
+        matched, (disparity, moved) = disparity, self._register(disparity)
         trace.reached("register", disparity)
+        trace.check(health.eye_doubts, eyes, matched, config.health, moved)
         points = trace.reached("cloud", self._cloud(disparity, eyes))
         size_m = voxels.voxel_size(config.voxel, self.rig, site.volume, points)
         grid = voxels.voxelise(points, disparity, self.rig, size_m)

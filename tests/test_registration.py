@@ -84,7 +84,11 @@ def test_a_wrong_baseline_shows_as_bars_that_are_nearer_or_farther(factor: float
     found = measured(disparity, WIDE.plane, wrong)
     assert found.offset_m == pytest.approx((1 - factor) * DISTANCE, abs=0.002)
     told = [reason.code for reason in bar_doubts(found, OPENING, HEALTH)]
-    assert told == (["SCREEN_MOVED"] if abs(1 - factor) * DISTANCE > HEALTH.max_bar_shift * OPENING else [])
+    assert told == (
+        ["SCREEN_MOVED"]
+        if abs(1 - factor) * DISTANCE > max(HEALTH.max_bar_shift * OPENING, HEALTH.max_bar_shift_px * found.px_m)
+        else []
+    )
     depth = wrong.depth(corrected(disparity, found, wrong).values)
     true = draw(replace(WIDE, noise_px=0.0))[0].xyz[..., 2]
     bars = np.abs(WIDE.plane.height(draw(replace(WIDE, noise_px=0.0))[0].xyz)) < 0.001

@@ -197,6 +197,7 @@ class HealthConfig(StageConfig):
     max_bar_shift: float = param(
         0.1, "largest distance of bars from their place that is corrected, in openings", gt=0, le=0.5
     )
+    max_bar_shift_px: float = param(0.15, "or in disparity, where that is more", "px", ge=0, le=1)
     max_bad_rows: float = param(0.04, "share of the rows in which bars may be measured elsewhere", ge=0, le=1)
     least_screen: float = param(0.15, "share of the points that a plane must have to be the screen", gt=0, lt=1)
     refuse_frozen: bool = param(True, "a frame with an eye's image equal to an earlier one, to the pixel, is degraded")

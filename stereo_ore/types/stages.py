@@ -179,13 +179,14 @@ class Registration:
 
     `field_px` (3,) is the difference c·(1, x, y) [px] at x = (u − cx)/fx, y = (v − cy)/fy; `offset_m` how far the bars
     seem to lie above that plane, in the median; `tilt_rad` the angle between both planes; `worst_m` the largest
-    distance between them over the bars that were seen.
+    distance between them over the bars that were seen; `px_m` the height that a pixel of disparity is there.
     """
 
     field_px: F64
     offset_m: float
     tilt_rad: float
     worst_m: float
+    px_m: float
 
     def __post_init__(self) -> None:
         check_shape(self, "field_px", self.field_px, 3)

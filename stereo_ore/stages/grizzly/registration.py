@@ -16,7 +16,7 @@ from stereo_ore.stages.grizzly.bars import BarFit, fit_bars
 from stereo_ore.stages.grizzly.sample import Sample, tolerances
 from stereo_ore.types import F32, F64, Disparity, Mask, Plane, Registration, Rig, Site
 
-SAMPLE = 16_000
+SAMPLE = 10_000
 """Pixels looked at."""
 WINDOW = 0.5
 """Bars are looked for this far above and below their place [openings]; farther off the check of the screen tells."""
@@ -159,4 +159,5 @@ def _described(seen: _Pixels, rig: Rig, plane: Plane, field: F64) -> Registratio
     height = plane.height(seen.on(measured))
     tilt = float(np.arccos(np.clip(measured.normal @ plane.normal, -1, 1)))
     worst = float(np.percentile(np.abs(height), 99))
-    return Registration(field, float(np.median(height)), tilt, worst)
+    px_m = float(rig.depth_sigma(np.median(seen.depth), 1.0)) * abs(float(plane.normal[2]))
+    return Registration(field, float(np.median(height)), tilt, worst, px_m)

@@ -9,21 +9,27 @@ import numpy as np
 
 from stereo_ore.config import HealthConfig
 from stereo_ore.stages.health.rows import laid_over, row_shift, smooth, strip
-from stereo_ore.types import F32, U8, Disparity, Reason, RectifiedPair
+from stereo_ore.types import F32, U8, Disparity, Reason, RectifiedPair, Registration
 
 FINE_PX, COARSE_PX = (0.7, 1.4), (2.8, 5.6)
 """Bands of detail [standard deviations of the smoothings between which it lies]: the finest that a lens in focus
 shows, and one that a blur of a few pixels leaves."""
+WITH_BARS = 1.5
+"""So many times the difference of neighbours is noise, and no chance, where bars were measured: eyes that don't agree
+show none, whatever the light."""
 DETAIL_ROWS = 160
 """Rows in the middle of the region on which detail is looked at."""
 
 
-def doubts(pair: RectifiedPair, disparity: Disparity, config: HealthConfig) -> Iterator[Reason]:
+def doubts(
+    pair: RectifiedPair, disparity: Disparity, config: HealthConfig, bars: Registration | None = None
+) -> Iterator[Reason]:
     """Why a disparity is too poor to act on.
 
     FEW_DISPARITIES: a covered lens, dust, no light. EYES_DISAGREE: swapped eyes, or eyes of two moments, match by
-    chance only, and hardly a disparity is likely to be right. ROWS_DISAGREE: the calibration is not that of these
-    images. TOO_DARK and OUT_OF_FOCUS: disparities come out smooth and wrong.
+    chance only, and hardly a disparity is likely to be right; where `bars` were measured in one plane, noise alone
+    makes them so. ROWS_DISAGREE: the calibration is not that of these images. TOO_DARK and OUT_OF_FOCUS: disparities
+    come out smooth and wrong.
     """
     valid, region = np.isfinite(disparity.values), disparity.region
     share = valid.sum() / max((region.x1 - region.x0) * (region.y1 - region.y0), 1)
@@ -31,9 +37,10 @@ def doubts(pair: RectifiedPair, disparity: Disparity, config: HealthConfig) -> I
         wanted = f"{100 * config.min_disparity_share:.0f} % wanted"
         yield Reason("FEW_DISPARITIES", f"{100 * share:.0f} % of the pixels searched have a disparity; {wanted}")
     right = float(np.nansum(disparity.confidence)) / max(disparity.diagnostics.get("textured", valid.sum()), 1)
-    if right < config.min_right_share:
+    least = config.min_right_share / (1.0 if bars is None else WITH_BARS)
+    if right < least:
         text = f"{100 * right:.0f} % of the textured pixels are matched rightly, by their confidence"
-        wanted = f"{100 * config.min_right_share:.0f} % are wanted"
+        wanted = f"{100 * least:.0f} % are wanted"
         yield Reason("EYES_DISAGREE", f"{text}, {wanted}: are the eyes swapped, or of two moments?")
     left, right = (np.asarray(cv2.cvtColor(eye, cv2.COLOR_BGR2GRAY), np.uint8) for eye in (pair.left, pair.right))
     shift = row_shift(left, right, disparity, pair.rig.disparity_offset_px)

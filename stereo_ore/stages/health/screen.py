@@ -89,13 +89,15 @@ def bar_doubts(moved: Registration | None, opening_m: float | None, config: Heal
 
     Their whole plane counts, which thousands of pixels tell to millimetres, not the noise of one depth.
     """
-    if moved is None or opening_m is None or moved.worst_m <= config.max_bar_shift * opening_m:
+    if moved is None or opening_m is None:
+        return
+    # Where a pixel is large the matcher's own bias is, too.
+    most = max(config.max_bar_shift * opening_m, config.max_bar_shift_px * moved.px_m)
+    if moved.worst_m <= most:
         return
     where = f"{1000 * abs(moved.offset_m):.0f} mm {'above' if moved.offset_m > 0 else 'below'} their place"
     text = f"the bars are measured {where}, turned by {np.degrees(moved.tilt_rad):.2f}°"
-    limit = (
-        f"up to {1000 * moved.worst_m:.0f} mm off, {1000 * config.max_bar_shift * opening_m:.0f} mm may be corrected"
-    )
+    limit = f"up to {1000 * moved.worst_m:.0f} mm off, {1000 * most:.0f} mm may be corrected"
     remedy = "was the camera moved, or is the calibration of another one?"
     yield Reason("SCREEN_MOVED", f"{text} and {limit} (health.max_bar_shift): {remedy}")
 
