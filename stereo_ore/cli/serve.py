@@ -71,7 +71,7 @@ def serve(
     from stereo_ore.io.parameters import load_config
     from stereo_ore.io.site import load_site
     from stereo_ore.plant.loop import processing
-    from stereo_ore.plant.sinks.message import Origin, transform_id
+    from stereo_ore.plant.sinks.message import Origin, new_session, transform_id
     from stereo_ore.plant.sinks.settings import load_sinks, open_sinks
     from stereo_ore.runs.driver import Driver
     from stereo_ore.runs.folder import RunFolder
@@ -79,17 +79,18 @@ def serve(
     from stereo_ore.runs.history import Watch
     from stereo_ore.runs.identity import InputFiles, description, write_inputs
 
-    consumers = open_sinks(load_sinks(sinks, opcua=opcua, mqtt=mqtt, tcp=tcp))
+    consumer_settings = load_sinks(sinks, opcua=opcua, mqtt=mqtt, tcp=tcp)
     parameters = load_config(config, settings or [])
     frames, calibration = _open(source, watch, camera, calib, _size(size), parameters.source.max_pixels)
     chain = Chain(calibration, load_site(site) if site else None, parameters)
     if chain.site.T_arm_camera is None:
         log.warning("no arm_from_camera in a site file: frames are recorded, but no target is ever published as valid")
+    origin = Origin(new_session(), transform_id(chain.site.T_arm_camera))
+    consumers = open_sinks(consumer_settings, origin)
     inputs = InputFiles(calib, site, config)
     about = description(frames.name, chain, inputs)
     with RunFolder(out, about, resume=not overwrite, overwrite=overwrite) as folder:
         write_inputs(out, chain, inputs)
-        origin = Origin(transform_id=transform_id(chain.site.T_arm_camera))
         watcher = Watch(parameters.health, folder.earlier())
         process = processing(Driver(chain, FrameFiles(out), unattended=True), watcher)
         run_live(frames, process, folder, consumers, origin, valid_for, page)

@@ -15,6 +15,7 @@ from stereo_ore.config.validation import validate
 from stereo_ore.errors import ConfigError
 from stereo_ore.io.yaml_io import load_yaml, read_text
 from stereo_ore.plant.sinks.base import TargetSink
+from stereo_ore.plant.sinks.message import Origin
 
 LOOPBACK = "127.0.0.1"
 Port = Annotated[int, Field(ge=1, le=65535)]
@@ -41,6 +42,7 @@ class MqttSettings(_Section):
     host: str = LOOPBACK
     port: Port = 1883
     topic: str = Field("stereo_ore/targets", min_length=1, pattern=r"^[^+#\x00]+$")
+    qos: Literal[0, 1] = 0
     authority: Path | None = None
     users: Path | None = None
 
@@ -134,33 +136,34 @@ def read_users(path: Path) -> dict[str, str]:
     return users
 
 
-def open_sinks(settings: SinksSettings) -> list[TargetSink]:
-    """A sink for each consumer in the settings, not yet entered."""
-    return [make(part) for name, make in MAKERS.items() if (part := getattr(settings, name)) is not None]
+def open_sinks(settings: SinksSettings, origin: Origin = Origin()) -> list[TargetSink]:  # noqa: B008
+    """A sink for each consumer in the settings, not yet entered; `origin` is what all messages will share."""
+    return [make(part, origin) for name, make in MAKERS.items() if (part := getattr(settings, name)) is not None]
 
 
-def _opcua(settings: OpcUaSettings) -> TargetSink:
+def _opcua(settings: OpcUaSettings, origin: Origin) -> TargetSink:
     from stereo_ore.plant.sinks.opcua import OpcUaSecurity, OpcUaSink
 
     security = None
     if settings.certificate and settings.private_key:
         users = read_users(settings.users) if settings.users else None
         security = OpcUaSecurity(settings.certificate, settings.private_key, settings.trusted, users)
-    return OpcUaSink(settings.host, settings.port, security)
+    return OpcUaSink(settings.host, settings.port, security, origin)
 
 
-def _mqtt(settings: MqttSettings) -> TargetSink:
+def _mqtt(settings: MqttSettings, origin: Origin) -> TargetSink:
     from stereo_ore.plant.sinks.mqtt import MqttLogin, MqttSink
 
     user, password = next(iter(read_users(settings.users).items())) if settings.users else (None, None)
-    return MqttSink(settings.host, settings.port, settings.topic, MqttLogin(user, password, settings.authority))
+    login = MqttLogin(user, password, settings.authority)
+    return MqttSink(settings.host, settings.port, settings.topic, login, qos=settings.qos, origin=origin)
 
 
-def _tcp(settings: TcpSettings) -> TargetSink:
+def _tcp(settings: TcpSettings, origin: Origin) -> TargetSink:
     from stereo_ore.plant.sinks.tcp import TcpSink
 
     return TcpSink(settings.host, settings.port)
 
 
-MAKERS: dict[str, Callable[[Any], TargetSink]] = {"opcua": _opcua, "mqtt": _mqtt, "tcp": _tcp}
+MAKERS: dict[str, Callable[[Any, Origin], TargetSink]] = {"opcua": _opcua, "mqtt": _mqtt, "tcp": _tcp}
 """To add a consumer: its section in `SinksSettings` and its line here."""
