@@ -4,16 +4,14 @@ import json
 import math
 import os
 import random
-import shutil
-import subprocess
 import threading
 import time
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
-from functools import cache
 from pathlib import Path
 from typing import Any
 
+import node
 import pytest
 from live import free_port, make_message, wait_for
 
@@ -32,7 +30,6 @@ pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:asyncua")
 
 VARIABLES = {variable.name: variable for variable in (*PAYLOAD, *CONTROL)}
 CODES = ua.StatusCodes
-JAVASCRIPT = Path(__file__).with_name("node_opcua.js")
 STAMP = 1_795_000_000_123_456_789
 
 
@@ -183,9 +180,9 @@ def test_arrays_tell_their_rank_and_length(sink: OpcUaSink, arm: Arm):
     lengths = {"Position": 48, "Direction": 48, "Size": 48, "Sigma": 48, "Reasons": 0}
     lengths |= dict.fromkeys(("SequenceNumber", "Id", "Oversize", "Score", "Volume"), SLOTS)
     for name, variable in VARIABLES.items():
-        node = arm.client.get_node(arm.id(name))
-        assert node.read_value_rank() == (1 if name in lengths else -1)
-        assert (node.read_array_dimensions() or None) == ([lengths[name]] if name in lengths else None)
+        found = arm.client.get_node(arm.id(name))
+        assert found.read_value_rank() == (1 if name in lengths else -1)
+        assert (found.read_array_dimensions() or None) == ([lengths[name]] if name in lengths else None)
         value = arm.read(name).Value
         assert value.VariantType.name == variable.type
         if lengths.get(name):
@@ -336,26 +333,10 @@ def test_10_000_random_writes_stop_nothing_and_leave_memory_flat(capsys: pytest.
         assert grown_mb < 10
 
 
-@cache
-def node_modules() -> str | None:
-    """Where node finds node-opcua; None where node or the packages are absent."""
-    npm = shutil.which("npm")
-    if not npm or not shutil.which("node"):
-        return None
-    root = os.environ.get("NODE_PATH") or subprocess.run([npm, "root", "-g"], capture_output=True, text=True).stdout
-    return root.strip() if (Path(root.strip()) / "node-opcua-address-space").is_dir() else None
-
-
 def javascript(*arguments: str) -> dict[str, dict[str, Any]]:
     """What node-opcua says, by name."""
-    modules = node_modules()
-    if modules is None:
-        pytest.skip("npm install -g node-opcua-address-space node-opcua-nodesets node-opcua-client")
-    command = ["node", str(JAVASCRIPT), *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, env=os.environ | {"NODE_PATH": modules})
-    assert done.returncode == 0, done.stderr
-    rows = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
-    return {row["name"]: row for row in rows}
+    packages = "node-opcua-address-space", "node-opcua-nodesets", "node-opcua-client"
+    return {row["name"]: row for row in node.run("node_opcua.js", *arguments, packages=packages)}
 
 
 def test_node_opcua_loads_the_nodeset_with_units(tmp_path: Path):

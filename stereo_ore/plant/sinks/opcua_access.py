@@ -71,7 +71,7 @@ def part(value: ua.DataValue, index_range: str | None) -> ua.DataValue:
     """
     from asyncua import ua
 
-    if not index_range or not value.StatusCode.is_good() and value.Value.Value is None:
+    if not index_range or (not value.StatusCode.is_good() and value.Value.Value is None):
         return value
     found = ONE_RANGE.fullmatch(index_range)
     first, last = (int(found[1]), int(found[2] or found[1])) if found else (0, 0)
