@@ -26,7 +26,7 @@ from asyncua import ua
 from asyncua.sync import Client
 
 from stereo_ore.errors import OutputError
-from stereo_ore.plant.sinks import opcua
+from stereo_ore.plant.sinks import opcua, supervisor
 from stereo_ore.plant.sinks.message import Origin, notice
 from stereo_ore.plant.sinks.opcua import OpcUaSecurity, OpcUaSink
 from stereo_ore.plant.sinks.opcua_model import NAMESPACE, PAYLOAD, SLOTS
@@ -316,7 +316,7 @@ def test_a_killed_server_is_noticed_by_the_client_within_the_stated_time(tmp_pat
 
 
 def test_a_server_that_fails_is_started_again(sink, connection, monkeypatch):
-    monkeypatch.setattr(opcua, "RESTART_S", 0.1)
+    monkeypatch.setattr(supervisor, "RESTART_S", 0.1)
     with monkeypatch.context() as broken:
         broken.setattr(opcua, "PAYLOAD", (*PAYLOAD[:3], replace(PAYLOAD[3], value=lambda _: 1 / 0)))
         sink.publish(make_message(1))

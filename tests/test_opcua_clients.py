@@ -20,7 +20,7 @@ pytest.importorskip("asyncua", reason="asyncua is not installed")
 from asyncua import ua
 from asyncua.sync import Client
 
-from stereo_ore.plant.sinks import opcua
+from stereo_ore.plant.sinks import opcua, supervisor
 from stereo_ore.plant.sinks.message import Origin
 from stereo_ore.plant.sinks.opcua import OpcUaSink
 from stereo_ore.plant.sinks.opcua_model import CONTROL, NAMESPACE, PAYLOAD, SLOTS, UNITS
@@ -230,7 +230,7 @@ def test_a_heartbeat_that_dies_is_an_alarm_and_the_server_starts_again_with_the_
 
 
 def test_a_loop_that_hangs_is_an_alarm(monkeypatch):
-    monkeypatch.setattr(opcua, "SILENT_S", 0.8)
+    monkeypatch.setattr(supervisor, "SILENT_S", 0.8)
     with OpcUaSink("127.0.0.1", free_port()) as sink:
         hang = threading.Event()
         with monkeypatch.context() as broken:
@@ -296,7 +296,7 @@ def chaos(sink: OpcUaSink, writes: int) -> tuple[float, float, float]:
             time.sleep(0.001)
             assert time.monotonic() - start < 10, "a frame is not published"
         longest = max(longest, time.monotonic() - start)
-        oldest = max(oldest, time.monotonic() - sink._beaten)
+        oldest = max(oldest, sink._supervisor.silent_s)
         assert not sink.state().alarm
         time.sleep(0.02)
         if warm is None and published == 50:

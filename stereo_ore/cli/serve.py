@@ -27,6 +27,9 @@ SinksFile = Annotated[Path | None, typer.Option("--sinks", help="File of consume
 OpcUaPort = Annotated[int | None, typer.Option("--opcua", min=1, max=65535, help="Serve OPC UA on this loopback port.")]
 MqttPort = Annotated[int | None, typer.Option("--mqtt", min=1, max=65535, help="Port of a broker on this machine.")]
 TcpPort = Annotated[int | None, typer.Option("--tcp", min=0, max=65535, help="Serve JSON lines on this loopback port.")]
+ModbusPort = Annotated[
+    int | None, typer.Option("--modbus", min=1, max=65535, help="Serve Modbus TCP on this loopback port.")
+]
 ValidFor = Annotated[
     float, typer.Option("--valid-for", min=0.1, max=60, help="Seconds for which a frame's targets hold.")
 ]
@@ -52,6 +55,7 @@ def serve(
     opcua: OpcUaPort = None,
     mqtt: MqttPort = None,
     tcp: TcpPort = None,
+    modbus: ModbusPort = None,
     size: Annotated[
         str | None,
         typer.Option(metavar="WxH", help="Pixels of one eye, for a calibration file of several; default: as seen."),
@@ -79,7 +83,7 @@ def serve(
     from stereo_ore.runs.history import Watch
     from stereo_ore.runs.identity import InputFiles, description, write_inputs
 
-    consumer_settings = load_sinks(sinks, opcua=opcua, mqtt=mqtt, tcp=tcp)
+    consumer_settings = load_sinks(sinks, opcua=opcua, mqtt=mqtt, tcp=tcp, modbus=modbus)
     parameters = load_config(config, settings or [])
     frames, calibration = _open(source, watch, camera, calib, _size(size), parameters.source.max_pixels)
     chain = Chain(calibration, load_site(site) if site else None, parameters)

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 import socket
-import threading
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -20,19 +17,14 @@ from stereo_ore.plant.sinks.message import Message, Origin, notice
 from stereo_ore.plant.sinks.opcua_access import Users, guard
 from stereo_ore.plant.sinks.opcua_model import CONTROL, NAMESPACE, PAYLOAD, Variable
 from stereo_ore.plant.sinks.opcua_nodeset import nodeset
+from stereo_ore.plant.sinks.supervisor import Supervisor
 
 if TYPE_CHECKING:
     from asyncua import Node, Server, ua
 
-log = logging.getLogger(__name__)
-
 APPLICATION_URI = "urn:stereo-ore:server"
 PATH = "/stereo-ore"
 HEARTBEAT_S = 0.5
-STARTING_S = 60.0
-SILENT_S = 2.0
-"""A heartbeat older than this is an alarm."""
-RESTART_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -73,13 +65,10 @@ class OpcUaSink:
         self._host, self._port, self._security = host, port, security
         self._outbox = Outbox()
         self._latest = notice(0, origin, "starting")
-        self._ready = threading.Event()
-        self._fault: Exception | None = None
-        self._sent = self._restarts = 0
-        self._beaten = time.monotonic()
+        self._sent = 0
         self._acknowledged = (0, 0)
         self._server: Server | None = None
-        self._thread = threading.Thread(target=self._run, daemon=True, name="opcua")
+        self._supervisor = Supervisor(f"OPC UA at {self.url}", self._serve, lambda: self._outbox.finished)
 
     def __enter__(self) -> Self:
         try:
@@ -87,17 +76,14 @@ class OpcUaSink:
         except OSError as fault:
             remedy = "Is another program listening there?"
             raise OutputError(f"can't serve {self.url}: {fault.strerror}", key="opcua", remedy=remedy) from None
-        self._thread.start()
-        if not self._ready.wait(STARTING_S) or self._fault:
-            remedy = "Are certificate and key what they should be?"
-            raise OutputError(f"can't serve {self.url}: {self._fault or 'no answer'}", key="opcua", remedy=remedy)
+        self._supervisor.start("opcua", "Are certificate and key what they should be?")
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._outbox.close()
-        self._thread.join()
+        self._supervisor.join()
 
     def publish(self, message: Message) -> None:
         """Hand the message to the server's thread."""
@@ -109,26 +95,9 @@ class OpcUaSink:
         clients = len(binary.clients) if binary else 0
         sequence, target = self._acknowledged
         detail = f"acknowledged: message {sequence}, ore {target}" if sequence else "nothing acknowledged"
-        silent_s = time.monotonic() - self._beaten
-        alarm = f"no heartbeat for {silent_s:.0f} s" if silent_s > SILENT_S else ""
-        alarm = f"failed, starting again: {self._fault}" if self._fault else alarm
         count = self._sent, self._outbox.dropped
-        return SinkState("OPC UA", self.url, clients > 0, clients, *count, detail, alarm, self._restarts)
-
-    def _run(self) -> None:
-        """Serve until the outbox is closed; a server that fails after it was up is started again."""
-        while not self._outbox.finished:
-            try:
-                asyncio.run(self._serve())
-            except Exception as fault:
-                self._fault = _first(fault)
-                log.debug("OPC UA server", exc_info=True)
-                if not self._ready.is_set():
-                    break
-                self._restarts += 1
-                log.error("OPC UA server failed, starting again: %s", self._fault)
-                time.sleep(RESTART_S)
-        self._ready.set()
+        watched = self._supervisor.alarm, self._supervisor.restarts
+        return SinkState("OPC UA", self.url, clients > 0, clients, *count, detail, *watched)
 
     async def _serve(self) -> None:
         """One life of the server: it ends when the outbox is finished, or with the fault of any of its tasks."""
@@ -136,19 +105,24 @@ class OpcUaSink:
         nodes = await _add_nodes(server)
         await self._write(server, nodes, self._latest.current())
         async with server:
-            self._server, self._fault = server, None
-            self._ready.set()
+            self._server = server
+            self._supervisor.up()
             async with asyncio.TaskGroup() as tasks:
                 beating = tasks.create_task(self._beat(server, nodes))
                 while not self._outbox.finished:
-                    message = await asyncio.to_thread(self._outbox.get, HEARTBEAT_S)
+                    message = await asyncio.to_thread(self._take)
                     if message is not None:
-                        self._latest = message
                         await self._write(server, nodes, message)
                         self._sent += 1
                 beating.cancel()
             # Subscriptions publish at their own pace: what was written last must still reach them.
             await asyncio.sleep(HEARTBEAT_S)
+
+    def _take(self) -> Message | None:
+        """The next message; it is kept, for a server that fails before it has written it."""
+        message = self._outbox.get(HEARTBEAT_S)
+        self._latest = message or self._latest
+        return message
 
     async def _write(self, server: Server, nodes: Mapping[str, Node], message: Message) -> None:
         """All values of a message, in the order of the model and with one timestamp."""
@@ -165,17 +139,10 @@ class OpcUaSink:
         while True:
             count = (count + 1) % 2**32
             await _write(server, nodes[heartbeat.name], _data_value(heartbeat, count, datetime.now(UTC)))
-            self._beaten = time.monotonic()
+            self._supervisor.beat()
             sequence, target = (_whole_number(server, nodes[variable.name]) for variable in acknowledgements)
             self._acknowledged = sequence, target
             await asyncio.sleep(HEARTBEAT_S)
-
-
-def _first(fault: BaseException) -> Exception:
-    """What a group of tasks failed of."""
-    while isinstance(fault, BaseExceptionGroup):
-        fault = fault.exceptions[0]
-    return fault if isinstance(fault, Exception) else RuntimeError(str(fault))
 
 
 async def _write(server: Server, node: Node, value: ua.DataValue) -> None:

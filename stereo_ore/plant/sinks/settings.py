@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, IPvAnyNetwork
 
 from stereo_ore.config.validation import validate
 from stereo_ore.errors import ConfigError
@@ -54,6 +54,14 @@ class TcpSettings(_Section):
     port: Annotated[int, Field(ge=0, le=65535)] = 5020
 
 
+class ModbusSettings(_Section):
+    """Modbus TCP, which knows neither users nor encryption; beyond this machine only for the clients that are named."""
+
+    host: str = LOOPBACK
+    port: Port = 502
+    clients: tuple[IPvAnyNetwork, ...] = ()
+
+
 class SinksSettings(_Section):
     """All consumers; a section that is not given is off."""
 
@@ -62,6 +70,7 @@ class SinksSettings(_Section):
     opcua: OpcUaSettings | None = None
     mqtt: MqttSettings | None = None
     tcp: TcpSettings | None = None
+    modbus: ModbusSettings | None = None
 
 
 def load_sinks(path: Path | None, **ports: int | None) -> SinksSettings:
@@ -100,7 +109,12 @@ def _resolve(settings: SinksSettings, folder: Path) -> SinksSettings:
 
 
 def _check_addresses(settings: SinksSettings, origin: Path) -> None:
-    needs = {"opcua": ("certificate", "private_key", "users"), "mqtt": ("authority", "users"), "tcp": None}
+    needs = {
+        "opcua": ("certificate", "private_key", "users"),
+        "mqtt": ("authority", "users"),
+        "modbus": ("clients",),
+        "tcp": None,
+    }
     for name, fields in needs.items():
         part = getattr(settings, name)
         if part is None or is_loopback(part.host):
@@ -109,7 +123,7 @@ def _check_addresses(settings: SinksSettings, origin: Path) -> None:
         if fields is None:
             remedy = "JSON lines are not guarded: use 127.0.0.1 and a tunnel, or OPC UA"
             raise ConfigError(problem, file=origin, key=f"{name}.host", remedy=remedy)
-        if missing := [field for field in fields if getattr(part, field) is None]:
+        if missing := [field for field in fields if not getattr(part, field)]:
             remedy = f"Give {', '.join(f'{name}.{field}' for field in missing)}, or use 127.0.0.1"
             raise ConfigError(problem, file=origin, key=f"{name}.host", remedy=remedy)
     if settings.opcua and (settings.opcua.certificate is None) != (settings.opcua.private_key is None):
@@ -165,5 +179,16 @@ def _tcp(settings: TcpSettings, origin: Origin) -> TargetSink:
     return TcpSink(settings.host, settings.port)
 
 
-MAKERS: dict[str, Callable[[Any, Origin], TargetSink]] = {"opcua": _opcua, "mqtt": _mqtt, "tcp": _tcp}
+def _modbus(settings: ModbusSettings, origin: Origin) -> TargetSink:
+    from stereo_ore.plant.sinks.modbus import ModbusSink
+
+    return ModbusSink(settings.host, settings.port, settings.clients, origin)
+
+
+MAKERS: dict[str, Callable[[Any, Origin], TargetSink]] = {
+    "opcua": _opcua,
+    "mqtt": _mqtt,
+    "tcp": _tcp,
+    "modbus": _modbus,
+}
 """To add a consumer: its section in `SinksSettings` and its line here."""
