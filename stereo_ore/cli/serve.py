@@ -6,7 +6,7 @@ import logging
 import re
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -61,6 +61,10 @@ def serve(
         typer.Option(metavar="WxH", help="Pixels of one eye, for a calibration file of several; default: as seen."),
     ] = None,
     page: Annotated[int | None, typer.Option(min=0, max=65535, help="Live page on this loopback port.")] = None,
+    page_name: Annotated[
+        list[str] | None,
+        typer.Option("--page-name", help="Name under which a reverse proxy on this machine shows the live page."),
+    ] = None,
     valid_for: ValidFor = 5.0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a different run in --out.")] = False,
 ) -> None:
@@ -97,7 +101,7 @@ def serve(
         write_inputs(out, chain, inputs)
         watcher = Watch(parameters.health, folder.earlier())
         process = processing(Driver(chain, FrameFiles(out), unattended=True), watcher)
-        run_live(frames, process, folder, consumers, origin, valid_for, page)
+        run_live(frames, process, folder, consumers, origin, valid_for, page, page_name or ())
 
 
 def run_live(
@@ -108,6 +112,7 @@ def run_live(
     origin: Origin,
     valid_for_s: float,
     page: int | None,
+    page_names: Sequence[str] = (),
 ) -> None:
     """Serve until a signal or the end of the source; then give the folder its final names."""
     from stereo_ore.plant.loop import serve as serve_frames
@@ -119,7 +124,8 @@ def run_live(
     with Publisher(consumers, valid_for_s, origin) as publisher, _signals(stop), ExitStack() as stack:
         status = Status(source, publisher)
         if page is not None:
-            typer.echo(f"live page: {stack.enter_context(LivePage(page, status, folder.folder)).url}", err=True)
+            shown = stack.enter_context(LivePage(page, status, folder.folder, page_names))
+            typer.echo(f"live page: {shown.url}", err=True)
         for state in publisher.states():
             log.info("%s: %s", state.name, state.address)
         done = serve_frames(source, process, folder, publisher, status, stop)
