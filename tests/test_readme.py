@@ -11,7 +11,7 @@ import typer
 from stereo_ore.cli import app, load_verbs
 
 ROOT = Path(__file__).parents[1]
-GUIDES = ("README.md", "calib/README.md")
+GUIDES = ("README.md", "calib/README.md", "docs/plant.md")
 COMMAND = re.compile(r"stereo-ore ((?!--)[a-z][^`\n#]*)")
 
 
@@ -53,7 +53,7 @@ def test_every_command_shown_has_its_verb_and_options(guide: str) -> None:
 @pytest.mark.parametrize("guide", GUIDES)
 def test_every_option_named_exists_somewhere(guide: str) -> None:
     text = re.sub(r"^dask .*", "", (ROOT / guide).read_text(encoding="utf-8"), flags=re.MULTILINE)
-    known = set().union(*(options(command) for command in commands(root()).values()))
+    known = options(root()).union(*(options(command) for command in commands(root()).values()))
     assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", text)) <= known
 
 

@@ -134,13 +134,16 @@ def _check_addresses(settings: SinksSettings, origin: Path) -> None:
 
 
 def read_users(path: Path) -> dict[str, str]:
-    """Passwords by user from lines ``name:password``; the file must be readable by its owner only."""
+    """Passwords by user from lines ``name:password``; the file must be readable by its owner only.
+
+    Blanks around name and password are no part of them, so that ``name: password`` is what it looks like.
+    """
     text = read_text(path, ConfigError)
     if os.name == "posix" and path.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
         raise ConfigError("holds passwords but others may read it", file=path, remedy=f"chmod 600 {path}")
     users: dict[str, str] = {}
     for number, line in enumerate(text.splitlines(), 1):
-        name, colon, password = line.partition(":")
+        name, colon, password = (part.strip() for part in line.partition(":"))
         if line.strip() and not (name and colon and password):
             raise ConfigError(f"line {number} is not name:password", file=path, remedy="One user a line")
         if line.strip():
