@@ -4,11 +4,13 @@ import html
 import json
 import re
 import shutil
+import socket
 import subprocess
 import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
+from http.client import HTTPResponse
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -16,7 +18,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from live import ListSink, make_record, wait_for
+from live import ListSink, free_port, make_record, wait_for
 
 from stereo_ore.errors import OutputError
 from stereo_ore.plant.page import LivePage
@@ -39,10 +41,10 @@ class Source:
 class Live:
     """A page with the run behind it."""
 
-    def __init__(self, folder: Path, publisher: Publisher) -> None:
+    def __init__(self, folder: Path, publisher: Publisher, names: tuple[str, ...] = ()) -> None:
         self.folder, self.publisher = folder, publisher
         self.status = Status(Source(), publisher)
-        self.page = LivePage(0, self.status, folder)
+        self.page = LivePage(0, self.status, folder, names)
 
     def add(self, index: int, **changes: Any) -> None:
         record = make_record(index, **changes)
@@ -117,7 +119,78 @@ def test_a_name_with_a_path_in_it_reads_no_other_file(live):
     assert live.get("overlay.png")[0] == 404
 
 
-@pytest.mark.parametrize("host", ["evil.example", "evil.example:80", "192.168.0.1", ""])
+def ask(live: Live, request: str) -> tuple[int, dict[str, str], bytes]:
+    """Status, headers and content of the answer to the bytes of a request."""
+    with socket.create_connection(("127.0.0.1", live.page.port), timeout=5) as connection:
+        connection.sendall(request.encode())
+        answer = HTTPResponse(connection, method=request.partition(" ")[0])
+        answer.begin()
+        with answer:
+            return answer.status, {key.lower(): value for key, value in answer.getheaders()}, answer.read()
+
+
+@pytest.mark.parametrize(
+    "host", ["localhost", "127.0.0.1", "localhost:8080", "127.0.0.1:80", "LOCALHOST", "[::1]", "[::1]:8080"]
+)
+def test_this_machine_is_known_with_and_without_a_port(live, host):
+    for path in ("/", "/state.json", "http://localhost/state.json", "/health", "/metrics"):
+        assert ask(live, f"GET {path} HTTP/1.1\r\nHost: {host}\r\n\r\n")[0] == 200
+
+
+@pytest.mark.parametrize("path", ["/", "/state.json", "/metrics", "/health", "/nothing"])
+def test_head_is_get_without_content(live, path):
+    live.add(0)
+    get, head = (ask(live, f"{method} {path} HTTP/1.1\r\nHost: localhost\r\n\r\n") for method in ("GET", "HEAD"))
+    assert get[0] == head[0] == (404 if path == "/nothing" else 200)
+    assert head[1]["content-type"] == get[1]["content-type"]
+    assert (int(get[1]["content-length"]), head[2]) == (len(get[2]), b"")
+    refused = ask(live, f"HEAD {path} HTTP/1.1\r\nHost: evil.example\r\n\r\n")
+    assert refused[0] == 403
+
+
+def test_names_of_a_proxy_are_known_when_they_are_given(tmp_path):
+    with Publisher([ListSink()], valid_for_s=2.0) as publisher:
+        live = Live(tmp_path, publisher, ("Vision.plant",))
+        with live.page:
+            for host, code in (("vision.plant", 200), ("vision.plant:8443", 200), ("vision.plant.evil", 403)):
+                assert live.get("state.json", Host=host)[0] == code
+
+
+def listens(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
+NGINX = shutil.which("nginx") or shutil.which("nginx", path="/usr/sbin")
+
+
+@pytest.mark.skipif(NGINX is None, reason="nginx is not installed (Debian: apt-get install nginx-light)")
+@pytest.mark.parametrize("host", ["$host", "$proxy_host", "$http_host"])
+def test_behind_nginx_on_this_machine(live, tmp_path, host):
+    """Below a path of its own, with each of the Host headers that people configure."""
+    port, folder = free_port(), tmp_path / "nginx"
+    folder.mkdir()
+    temporary = "".join(f"{kind}_temp_path {folder};" for kind in ("client_body", "proxy", "fastcgi", "uwsgi", "scgi"))
+    proxy = f"proxy_pass {live.page.url}; proxy_set_header Host {host};"
+    server = f"server {{ listen 127.0.0.1:{port}; location /ore/ {{ {proxy} }} }}"
+    http = f"http {{ access_log off; {temporary} {server} }}"
+    (folder / "nginx.conf").write_text(f"daemon off; master_process off; pid {folder}/pid; events {{}} {http}")
+    command = [str(NGINX), "-c", str(folder / "nginx.conf"), "-e", str(folder / "log")]
+    with subprocess.Popen(command) as nginx:
+        try:
+            wait_for(lambda: listens(port), what="nginx")
+            live.add(3)
+            for path, content in (("", b"<!doctype html>"), ("state.json", b"{"), ("overlay.png?3", b"\x89PNG")):
+                with urllib.request.urlopen(f"http://localhost:{port}/ore/{path}", timeout=5) as answer:
+                    assert answer.read().startswith(content)
+        finally:
+            nginx.terminate()
+
+
+@pytest.mark.parametrize(
+    "host",
+    ["evil.example", "evil.example:80", "192.168.0.1", "", "localhost.evil", "a@localhost:x", "[::2]", "[", ":80"],
+)
 def test_other_names_for_this_machine_are_refused(live, host):
     assert live.get("state.json", Host=host)[0] == 403
 

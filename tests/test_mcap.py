@@ -6,8 +6,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import node
 import numpy as np
 import pytest
+import yaml
 from runs import PERIOD, STAMP, cloud, make_run, ore, record
 
 from stereo_ore.errors import OutputError, SourceError
@@ -69,6 +71,36 @@ def test_reference_reader_sees_the_schemas_and_counts(bag: Path) -> None:
     assert found == {topic: (schema, numbers.get(topic, 3)) for topic, schema in SCHEMAS.items()}
     assert "Detection3D[] detections" in definition["vision_msgs/msg/Detection3DArray"]
     assert read == sum(number for _, number in found.values())
+
+
+def test_static_transforms_are_offered_as_their_listeners_ask(bag: Path) -> None:
+    """As ROS 2 writes them: reliable, transient local, keep last, depth 1, in the channel and in metadata.yaml."""
+    reader = pytest.importorskip("mcap.reader", reason="the reference reader is not installed")
+    with bag.open("rb") as file:
+        channels = reader.make_reader(file).get_summary().channels.values()
+    topics = yaml.safe_load((bag.parent / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    listed = {topic["topic_metadata"]["name"]: topic["topic_metadata"] for topic in topics["topics_with_message_count"]}
+    for channel in channels:
+        for written in (channel.metadata["offered_qos_profiles"], listed[channel.topic]["offered_qos_profiles"]):
+            profiles = yaml.safe_load(written) if isinstance(written, str) else written
+            if channel.topic != "/tf_static":
+                assert not profiles
+                continue
+            (profile,) = profiles
+            names = {key: profile[key] for key in ("history", "depth", "reliability", "durability")}
+            expected = {"history": "keep_last", "depth": 1, "reliability": "reliable", "durability": "transient_local"}
+            numbers = {"history": 1, "depth": 1, "reliability": 1, "durability": 1}
+            assert names in (expected, numbers)
+    with AnyReader([bag.parent]) as opened:
+        (static,) = [connection for connection in opened.connections if connection.topic == "/tf_static"]
+        assert [profile.durability.name for profile in static.ext.offered_qos_profiles] == ["TRANSIENT_LOCAL"]
+
+
+def test_foxglove_reader_sees_the_same(bag: Path) -> None:
+    rows = {row["topic"]: row for row in node.run("mcap_core.js", str(bag), packages=("@mcap/core",))}
+    assert {topic: row["schema"] for topic, row in rows.items()} == SCHEMAS
+    assert [rows[topic]["count"] for topic in ("/tf_static", "/stereo_ore/cloud", "/stereo_ore/record")] == [1, 2, 3]
+    assert "durability" in rows["/tf_static"]["qos"]
 
 
 def test_stamps_are_those_of_the_frames(messages: dict[str, list[tuple[int, Any]]]) -> None:

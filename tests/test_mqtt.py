@@ -7,10 +7,13 @@ import socket
 import subprocess
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import jsonschema
 import pytest
 from live import free_port, make_message, names_in, running, wait_for
 
@@ -21,6 +24,7 @@ from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 
 from stereo_ore.errors import OutputError
 from stereo_ore.plant.sinks import mqtt
+from stereo_ore.plant.sinks.message import Origin
 from stereo_ore.plant.sinks.mqtt import MqttLogin, MqttSink
 
 MOSQUITTO = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin")
@@ -36,7 +40,8 @@ class Broker:
     def __init__(self, folder: Path) -> None:
         self.port = free_port()
         self.config = folder / "mosquitto.conf"
-        self.config.write_text(f"listener {self.port} 127.0.0.1\nallow_anonymous true\npersistence false\n")
+        self.settings = f"listener {self.port} 127.0.0.1\nallow_anonymous true\npersistence false\n"
+        self.config.write_text(self.settings)
         self.process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> None:
@@ -53,6 +58,18 @@ class Broker:
             self.process.kill()
             self.process.wait()
         self.process = None
+
+
+@contextmanager
+def broker_with(folder: Path, settings: str) -> Iterator[Broker]:
+    """A broker that can do less than others."""
+    broker = Broker(folder)
+    broker.config.write_text(broker.settings + settings)
+    broker.start()
+    try:
+        yield broker
+    finally:
+        broker.stop()
 
 
 @pytest.fixture
@@ -72,7 +89,8 @@ class Subscriber:
         self.client = Client(CallbackAPIVersion.VERSION2, protocol=MQTTProtocolVersion.MQTTv5)
         self.client.on_connect = lambda client, *_: client.subscribe(TOPIC, qos=1)
         self.client.on_subscribe = self._subscribed
-        self.client.on_message = lambda client, data, message: self.messages.append(json.loads(message.payload))
+        self.expiries: list[int | None] = []
+        self.client.on_message = self._received
         self.client.reconnect_delay_set(1, 1)
         self.client.connect_async("127.0.0.1", port)
         self.client.loop_start()
@@ -80,6 +98,12 @@ class Subscriber:
 
     def _subscribed(self, *_: object) -> None:
         self.subscriptions += 1
+
+    def _received(self, client: Client, data: object, message: Any) -> None:
+        line = json.loads(message.payload)
+        if line["status"] != "starting":
+            self.messages.append(line)
+            self.expiries.append(getattr(message.properties, "MessageExpiryInterval", None))
 
     def close(self) -> None:
         self.client.disconnect()
@@ -118,20 +142,116 @@ def test_a_late_subscriber_gets_the_latest_until_it_expires(broker, sink):
     late.close()
 
 
+def vanish(sink: MqttSink) -> None:
+    """A connection that breaks without a farewell is what the broker sees of a killed process."""
+    sink._client.loop_stop()
+    sink._client._sock_close()
+
+
 def test_the_broker_withdraws_the_targets_of_a_program_that_vanished(broker):
-    sink = MqttSink("127.0.0.1", broker.port, TOPIC)
+    sink = MqttSink("127.0.0.1", broker.port, TOPIC, origin=Origin("test", "abc", replay=True))
     with sink:
         wait_for(lambda: sink.state().connected)
         subscriber = Subscriber(broker.port)
         sink.publish(make_message(1))
         wait_for(lambda: subscriber.messages)
-        # A connection that breaks without a farewell is what the broker sees of a killed process.
-        sink._client.loop_stop()
-        sink._client._sock_close()
+        vanish(sink)
         wait_for(lambda: len(subscriber.messages) == 2, what="last will")
-    assert subscriber.messages[1]["status"] == "offline"
-    assert not subscriber.messages[1]["valid"]
+    targets, gone = subscriber.messages
+    assert gone["status"] == "offline"
+    assert not gone["valid"]
+    # Of the session that it ends, and with no time or number that could be older than what it withdraws.
+    assert (gone["session"], gone["replay"], gone["transform_id"]) == (targets["session"], True, "abc")
+    assert (gone["sequence"], gone["published_ns"], gone["valid_until_ns"]) == (None, None, None)
+    jsonschema.validate(gone, json.loads((files("stereo_ore") / "schema" / "targets-1.json").read_text()))
+    late = Subscriber(broker.port)
+    wait_for(lambda: late.messages)
+    assert late.messages == [gone]
+    late.close()
     subscriber.close()
+
+
+def test_targets_expire_in_the_broker_and_their_absence_does_not(broker, sink):
+    subscriber = Subscriber(broker.port)
+    sink.publish(make_message(1, valid_for_s=30.0))
+    sink.publish(make_message(2, status="degraded"))
+    wait_for(lambda: len(subscriber.messages) == 2)
+    assert 25 < subscriber.expiries[0] <= 30
+    assert subscriber.expiries[1] is None
+    subscriber.close()
+
+
+def test_a_connection_that_comes_back_replaces_offline_without_a_new_frame(broker, monkeypatch):
+    monkeypatch.setattr(mqtt, "RECONNECT_S", (1, 1))
+    monkeypatch.setattr(mqtt, "GREETING_S", 0.2)
+    with MqttSink("127.0.0.1", broker.port, TOPIC, origin=Origin("test")) as sink:
+        wait_for(lambda: sink.state().connected)
+        sink.publish(make_message(7))
+        wait_for(lambda: sink.state().sent == 1)
+        subscriber = Subscriber(broker.port)
+        sink._client._sock.shutdown(socket.SHUT_RDWR)
+        wait_for(lambda: "offline" in [message["status"] for message in subscriber.messages], what="last will")
+        wait_for(lambda: subscriber.messages[-1]["sequence"] == 7, what="message")
+        assert subscriber.messages[-1]["valid"]
+        subscriber.close()
+
+
+def test_a_birth_is_announced_before_the_first_frame(broker, monkeypatch):
+    monkeypatch.setattr(mqtt, "GREETING_S", 0.1)
+    with MqttSink("127.0.0.1", broker.port, TOPIC, origin=Origin("test", replay=True)) as sink:
+        wait_for(lambda: sink.state().sent == 1)
+        seen: list[dict[str, Any]] = []
+        client = Client(CallbackAPIVersion.VERSION2, protocol=MQTTProtocolVersion.MQTTv5)
+        client.on_connect = lambda client, *_: client.subscribe(TOPIC)
+        client.on_message = lambda client, data, message: seen.append(json.loads(message.payload))
+        client.connect("127.0.0.1", broker.port)
+        client.loop_start()
+        wait_for(lambda: seen)
+        assert (seen[0]["status"], seen[0]["session"], seen[0]["replay"]) == ("starting", "test", True)
+        client.disconnect()
+        client.loop_stop()
+
+
+@pytest.mark.parametrize("settings", ["retain_available false\n", "max_qos 0\n", "retain_available false\nmax_qos 0\n"])
+@pytest.mark.parametrize("qos", [0, 1])
+def test_a_broker_that_can_do_less_is_served(tmp_path, settings, qos, monkeypatch):
+    monkeypatch.setattr(mqtt, "RECONNECT_S", (1, 1))
+    with (
+        broker_with(tmp_path, settings) as broker,
+        MqttSink("127.0.0.1", broker.port, TOPIC, qos=qos, origin=Origin("test")) as sink,
+    ):
+        wait_for(lambda: sink.state().connected, what="connection")
+        subscriber = Subscriber(broker.port)
+        for sequence in range(1, 21):
+            sink.publish(make_message(sequence))
+        wait_for(lambda: len(subscriber.messages) == 20)
+        assert [message["sequence"] for message in subscriber.messages] == list(range(1, 21))
+        assert ("without retained" in sink.state().detail) == ("retain" in settings)
+        late = Subscriber(broker.port)
+        time.sleep(0.3)
+        assert len(late.messages) == ("retain" not in settings)
+        vanish(sink)
+        wait_for(lambda: subscriber.messages[-1]["status"] == "offline", what="last will")
+        late.close()
+        subscriber.close()
+
+
+def test_a_broker_of_small_packets_gets_the_best_targets_that_fit(tmp_path):
+    with broker_with(tmp_path, "max_packet_size 1500\n") as broker, MqttSink("127.0.0.1", broker.port, TOPIC) as sink:
+        wait_for(lambda: sink.state().connected)
+        subscriber = Subscriber(broker.port)
+        sink.publish(make_message(1, ores=16))
+        sink.publish(make_message(2, ores=1))
+        wait_for(lambda: len(subscriber.messages) == 2)
+        cut, whole = subscriber.messages
+        assert [target["id"] for target in cut["targets"]] == list(range(1, len(cut["targets"]) + 1))
+        assert 1 < len(cut["targets"]) < 16
+        assert (cut["reasons"], whole["reasons"]) == (["TARGETS_LEFT_OUT"], [])
+        assert sink.state().connected
+        sink.publish(make_message(3, frame="x" * 2000))
+        wait_for(lambda: "no message fits" in sink.state().alarm, what="alarm")
+        assert (sink.state().connected, sink.state().dropped) == (True, 1)
+        subscriber.close()
 
 
 def test_a_broker_that_is_stopped_and_started_costs_no_record_and_publishing_resumes(broker, tmp_path, monkeypatch):

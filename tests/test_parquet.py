@@ -4,6 +4,7 @@ import json
 import shutil
 import subprocess
 import sys
+from datetime import date
 from pathlib import Path
 
 import pytest
@@ -62,13 +63,14 @@ def test_rows_are_the_ores_of_the_records(lake: Path) -> None:
     ]
 
 
-def test_days_are_partitions_and_stamps_are_exact(lake: Path) -> None:
+def test_days_are_folders_and_a_column_and_stamps_are_exact(lake: Path) -> None:
     days = ask(f"""SELECT CAST(date AS VARCHAR), count(*), min(epoch_ns(stamp_utc))
                    FROM read_parquet('{lake}/frames/**/*.parquet') GROUP BY 1 ORDER BY 1""")
     assert days == [("2023-11-14", 3, STAMP), ("2023-11-15", 1, STAMP + DAY_NS), ("2023-11-16", 1, STAMP + 2 * DAY_NS)]
-    table = dataset.dataset(lake / "ores", partitioning="hive")
-    assert table.count_rows(filter=dataset.field("date") == "2023-11-15") == 1
-    assert table.count_rows(filter=dataset.field("date") == "2023-11-16") == 0
+    table = dataset.dataset(lake / "ores")
+    assert table.count_rows(filter=dataset.field("date") == date(2023, 11, 15)) == 1
+    assert table.count_rows(filter=dataset.field("date") == date(2023, 11, 16)) == 0
+    assert {path.parent.name for path in lake.glob("ores/*/*")} == {"2023-11-14", "2023-11-15", "2023-11-16"}
 
 
 @pytest.mark.parametrize("name", TABLES)
@@ -77,7 +79,7 @@ def test_types_and_units_are_the_same_in_every_file(lake: Path, name: str) -> No
     assert len(schemas) == 4
     for schema in schemas:
         assert schema.equals(schema_of(name))
-        assert schema.metadata[b"schema"] == b"stereo_ore/parquet/1"
+        assert schema.metadata[b"schema"] == b"stereo_ore/parquet/2"
     units = {field.name: (field.metadata or {}).get(b"unit", b"").decode() for field in schemas[0]}
     expected = {"ores": {"cog_arm_x_m": "m", "volume_m3": "m³", "slope_deg": "degree", "direction_arm_x": ""}}
     for column, unit in expected.get(name, {"grizzly_offset_m": "m"}).items():
@@ -115,12 +117,55 @@ def test_a_running_run_has_the_name_of_the_finished_one(tmp_path: Path) -> None:
 def test_frames_without_a_stamp_have_no_day(tmp_path: Path) -> None:
     add(tmp_path / "a", [record(0, [ore(1)], stamp_ns=None)], tmp_path / "lake", "a")
     add(tmp_path / "b", [record(0, [ore(1)])], tmp_path / "lake", "b")
-    assert (tmp_path / "lake" / "ores" / f"date={NO_DAY}").is_dir()
+    assert (tmp_path / "lake" / "ores" / NO_DAY).is_dir()
     query = (
         f"SELECT CAST(date AS VARCHAR), stamp_utc IS NULL, camera FROM '{tmp_path}/lake/ores/**/*.parquet' ORDER BY 2"
     )
     camera = Results(tmp_path / "a").camera
     assert ask(query) == [("2023-11-14", False, camera), (None, True, camera)]
+
+
+def with_pandas(folder: Path) -> list[tuple]:
+    pandas = pytest.importorskip("pandas", reason="pandas is not installed")
+    table = pandas.read_parquet(folder)
+    return [(row.frame, row.date, row.camera) for row in table.itertuples()]
+
+
+def with_polars(folder: Path) -> list[tuple]:
+    polars = pytest.importorskip("polars", reason="polars is not installed")
+    return polars.read_parquet(folder).select("frame", "date", "camera").rows()
+
+
+def with_pyarrow(folder: Path) -> list[tuple]:
+    table = parquet.read_table(folder).select(["frame", "date", "camera"])
+    return [tuple(row.values()) for row in table.to_pylist()]
+
+
+def with_duckdb(folder: Path) -> list[tuple]:
+    return ask(f"SELECT frame, date, camera FROM read_parquet('{folder}/**/*.parquet')")
+
+
+@pytest.mark.parametrize("read", [with_pandas, with_polars, with_pyarrow, with_duckdb])
+@pytest.mark.parametrize("stamps", [(None,), (STAMP,), (None, STAMP), (None, STAMP, STAMP + DAY_NS)])
+def test_every_reader_takes_the_folder_as_one_table(tmp_path: Path, read, stamps) -> None:
+    """Runs with and without stamps, and a run whose frames have one now and then."""
+    for number, stamp in enumerate(stamps):
+        records = [record(0, [ore(1)], stamp_ns=stamp), record(1, [ore(1), ore(2)], stamp_ns=stamp)]
+        add(tmp_path / str(number), records, tmp_path / "lake", str(number), str(number))
+    mixed = [record(0, [ore(1)], stamp_ns=None), record(1, [ore(1)], stamp_ns=STAMP)]
+    add(tmp_path / "mixed", mixed, tmp_path / "lake", "mixed", "mixed")
+    days = {None: None, STAMP: date(2023, 11, 14), STAMP + DAY_NS: date(2023, 11, 15)}
+    expected = [("000000", None, "mixed"), ("000001", days[STAMP], "mixed")]
+    for number, stamp in enumerate(stamps):
+        expected += [(name, days[stamp], str(number)) for name in ("000000", "000001", "000001")]
+    assert sorted(map(str, read(tmp_path / "lake" / "ores"))) == sorted(map(str, expected))
+    assert len(read(tmp_path / "lake" / "frames")) == 2 + 2 * len(stamps)
+
+
+def test_tables_of_an_earlier_version_are_not_mixed_with_new_ones(tmp_path: Path) -> None:
+    (tmp_path / "lake" / "frames" / "date=2023-11-14").mkdir(parents=True)
+    with pytest.raises(OutputError, match=r"date=2023-11-14: is of an earlier version.*new folder"):
+        add(tmp_path / "a", [record(0, [ore(1)])], tmp_path / "lake", "a")
 
 
 def test_a_fault_leaves_the_tables_as_they_were(lake: Path, tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from live import ListSink, make_message, make_ore, make_record, wait_for
 from stereo_ore.errors import OutputError
 from stereo_ore.plant.publisher import Publisher
 from stereo_ore.plant.sinks.base import Outbox
-from stereo_ore.plant.sinks.message import Origin, message, notice, transform_id
+from stereo_ore.plant.sinks.message import Origin, message, offline, transform_id, utc
 
 
 def test_the_records_of_these_tests_are_real_ones():
@@ -34,7 +34,9 @@ def test_messages_are_what_their_schema_says():
         wait_for(lambda: len(sink.messages) == 6, what="expiry")
     for _, made in sink.messages:
         jsonschema.validate(json.loads(made.line()), schema)
-    jsonschema.validate(notice(0, Origin(), "offline").json() | {"reasons": ["OFFLINE"], "targets": []}, schema)
+    gone = json.loads(offline(Origin("s", replay=True)))
+    jsonschema.validate(gone, schema)
+    assert (gone["session"], gone["replay"], gone["sequence"], gone["published_ns"]) == ("s", True, None, None)
     wrong = json.loads(make_message().line()) | {"valid": False}
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.validate(wrong, schema)
@@ -93,6 +95,38 @@ def test_a_message_sent_late_goes_without_its_targets():
     time.sleep(0.06)
     assert not made.current().valid
     assert made.current().sequence == made.sequence
+
+
+@pytest.mark.parametrize(
+    ("nanoseconds", "text"),
+    [
+        (1_795_000_000_123_456_789, "2026-11-18T11:06:40.123456789Z"),
+        (0, "1970-01-01T00:00:00.000000000Z"),
+        (-1, "1969-12-31T23:59:59.999999999Z"),
+        (5, "1970-01-01T00:00:00.000000005Z"),
+        (None, None),
+        (2**63 - 1, "2262-04-11T23:47:16.854775807Z"),
+        (10**21, None),
+    ],
+)
+def test_times_are_told_to_the_nanosecond(nanoseconds, text):
+    assert utc(nanoseconds) == text
+    made = make_message(1, stamp_ns=nanoseconds).json()
+    assert (made["stamp_ns"], made["stamp_utc"]) == (nanoseconds, text)
+
+
+def test_a_shortened_message_has_the_best_targets_and_says_so():
+    made = make_message(ores=3)
+    assert made.shortened(3) is made
+    short = made.shortened(2)
+    assert ([target.id for target in short.targets], short.reasons) == ([1, 2], ("TARGETS_LEFT_OUT",))
+
+
+def test_volume_and_deviations_come_with_a_target():
+    record = make_record(ores=2)
+    record["ores"][1] |= {"volume_m3": None, "centre_of_gravity": None}
+    made = message(record, 1, Origin(), age_s=0.0, valid_for_s=5.0)
+    assert [(t.volume_m3, t.sigma_m) for t in made.targets] == [(0.02, (0.01, 0.01, 0.02)), (None, None)]
 
 
 def test_transform_id_follows_the_transform():

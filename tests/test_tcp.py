@@ -148,6 +148,40 @@ def test_too_many_consumers_are_turned_away(sink):
     extra.close()
 
 
+def test_a_consumer_that_hangs_gives_its_place_to_one_that_waits(sink, monkeypatch):
+    monkeypatch.setattr(tcp, "MAX_CONSUMERS", 2)
+    monkeypatch.setattr(tcp, "HANGING_S", 1.5)
+    monkeypatch.setattr(tcp, "SEND_TIMEOUT_S", 60.0)
+    hangs = socket.socket()
+    hangs.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    hangs.connect(("127.0.0.1", sink.port))
+    wait_for(lambda: sink.state().consumers == 1)
+    good = Consumer(sink)
+    stop = threading.Event()
+
+    def read() -> None:
+        while not stop.is_set():
+            good.lines.readline()
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    # More than the system's buffers take, so that the hanging consumer's thread waits.
+    for sequence in range(1, 2001):
+        sink.publish(make_message(sequence, ores=16))
+        time.sleep(0.001)
+    time.sleep(2.0)
+    waits = socket.create_connection(("127.0.0.1", sink.port), timeout=5)
+    assert json.loads(waits.makefile("rb").readline())["schema"] == "stereo_ore/targets/1"
+    assert sink.state().consumers == 2
+    refused = socket.create_connection(("127.0.0.1", sink.port), timeout=5)
+    assert refused.recv(1) == b"", "nobody hangs any more: who comes now is turned away"
+    stop.set()
+    reader.join(5)
+    for connection in (hangs, waits, refused):
+        connection.close()
+    good.close()
+
+
 def test_a_port_in_use_is_an_error_that_says_so(sink):
     with (
         pytest.raises(OutputError, match=rf"127\.0\.0\.1:{sink.port}.*another program"),

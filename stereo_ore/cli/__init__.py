@@ -11,6 +11,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
+from stereo_ore.cli.logs import JsonLines, LogFormat
 from stereo_ore.errors import OutputError, StereoOreError
 from stereo_ore.version import __version__
 
@@ -53,6 +54,9 @@ def _show_version(value: bool) -> None:
 def main(
     verbose: Annotated[int, typer.Option("-v", "--verbose", count=True, help="More messages.")] = 0,
     quiet: Annotated[bool, typer.Option("-q", "--quiet", help="Only warnings, no progress.")] = False,
+    log_format: Annotated[
+        LogFormat, typer.Option("--log-format", help="Messages as text, or as a line of JSON each.")
+    ] = LogFormat.TEXT,
     debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
     version: Annotated[bool, typer.Option("--version", callback=_show_version, is_eager=True)] = False,
 ) -> None:
@@ -62,7 +66,10 @@ def main(
     --out out`
     """
     level = logging.WARNING if quiet else (logging.INFO, logging.DEBUG)[min(verbose, 1)]
-    logging.basicConfig(format="%(message)s", stream=sys.stderr, force=True)
+    handler = logging.StreamHandler(sys.stderr)
+    if log_format is LogFormat.JSON:
+        handler.setFormatter(JsonLines())
+    logging.basicConfig(format="%(message)s", handlers=[handler], force=True)
     logging.getLogger("stereo_ore").setLevel(level)
     os.environ["STEREO_ORE_DEBUG"] = "1" if debug else ""
 

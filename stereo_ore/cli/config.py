@@ -1,18 +1,18 @@
-"""``stereo-ore config``: every parameter with default, unit and range; check a file; the JSON Schema."""
+"""``stereo-ore config``: every parameter with default, unit and range; check a file; what other programs import."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 
 def register(app: typer.Typer) -> None:
     """Add the verb to the command line."""
-    group = typer.Typer(help="Parameters: dump the defaults, validate a file, print the schema.", no_args_is_help=True)
-    for verb in (dump, validate, schema):
+    group = typer.Typer(help="Parameters: dump, validate, schema. Interfaces: opcua, modbus.", no_args_is_help=True)
+    for verb in (dump, validate, schema, opcua, modbus):
         group.command()(verb)
     app.add_typer(group, name="config")
 
@@ -42,11 +42,49 @@ def validate(config: Annotated[Path, typer.Argument(help="File to check.")]) -> 
     typer.echo(f"{config}: valid")
 
 
-def schema() -> None:
-    """Print the JSON Schema of the configuration, for editors that complete and check YAML.
+def schema(
+    part: Annotated[
+        Literal["parameters", "sinks", "targets", "frame"],
+        typer.Argument(help="Parameters, the sinks file, a message to the arm, or a frame's record."),
+    ] = "parameters",
+) -> None:
+    """Print a JSON Schema, for editors that complete and check YAML, and for those who read messages.
 
-    Example: `stereo-ore config schema > schema.json`
+    Example: `stereo-ore config schema sinks > sinks.schema.json`
     """
-    from stereo_ore.config import Config
+    from importlib.resources import files
 
-    typer.echo(json.dumps(Config.model_json_schema(), indent=1))
+    from stereo_ore.config import Config
+    from stereo_ore.plant.sinks.settings import SinksSettings
+
+    if part in ("targets", "frame"):
+        text = files("stereo_ore").joinpath("schema", f"{part}-1.json").read_text(encoding="utf-8")
+    else:
+        model = Config if part == "parameters" else SinksSettings
+        text = json.dumps(model.model_json_schema(), indent=1)
+    typer.echo(text.rstrip())
+
+
+def opcua() -> None:
+    """Print the OPC UA model as a NodeSet2 file, for engineering tools that import one.
+
+    Example: `stereo-ore config opcua > stereo_ore.NodeSet2.xml`
+    """
+    from stereo_ore.plant.sinks.opcua_nodeset import nodeset
+
+    typer.echo(nodeset(), nl=False)
+
+
+def modbus() -> None:
+    """Print the Modbus table as CSV: address from 0, type, name, unit, meaning.
+
+    Example: `stereo-ore config modbus > registers.csv`
+    """
+    import csv
+    import sys
+
+    from stereo_ore.plant.sinks.modbus_table import rows
+
+    writer = csv.writer(sys.stdout, lineterminator="\n")
+    writer.writerow(("address", "type", "name", "unit", "meaning"))
+    writer.writerows(rows())

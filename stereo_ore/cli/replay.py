@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from stereo_ore.cli.serve import MqttPort, OpcUaPort, SinksFile, TcpPort, ValidFor
+from stereo_ore.cli.serve import ModbusPort, MqttPort, OpcUaPort, SinksFile, TcpPort, ValidFor
 
 
 def register(app: typer.Typer) -> None:
@@ -25,6 +25,7 @@ def replay(
     opcua: OpcUaPort = None,
     mqtt: MqttPort = None,
     tcp: TcpPort = None,
+    modbus: ModbusPort = None,
     valid_for: ValidFor = 5.0,
 ) -> None:
     """Publish the targets of a recorded run again, as `serve` does; every message says that it is a replay.
@@ -33,18 +34,18 @@ def replay(
     """
     from stereo_ore.plant.publisher import Publisher
     from stereo_ore.plant.replay import frames, saved_transform, schedule
-    from stereo_ore.plant.sinks.message import Origin, message, transform_id
+    from stereo_ore.plant.sinks.message import Origin, message, new_session, transform_id
     from stereo_ore.plant.sinks.settings import load_sinks, open_sinks
 
-    settings = load_sinks(sinks, opcua=opcua, mqtt=mqtt, tcp=tcp)
-    origin = Origin(transform_id=transform_id(saved_transform(folder)), replay=True)
+    settings = load_sinks(sinks, opcua=opcua, mqtt=mqtt, tcp=tcp, modbus=modbus)
+    origin = Origin(new_session(), transform_id(saved_transform(folder)), replay=True)
     if dry_run:
         for sequence, record in enumerate(frames(folder), 1):
             typer.echo(message(record, sequence, origin, age_s=0.0, valid_for_s=valid_for).line())
         return
-    consumers = open_sinks(settings)
+    consumers = open_sinks(settings, origin)
     if not consumers:
-        raise typer.BadParameter("name a consumer: --opcua, --mqtt, --tcp or --sinks; or --dry-run")
+        raise typer.BadParameter("name a consumer: --opcua, --mqtt, --modbus, --tcp or --sinks; or --dry-run")
     with Publisher(consumers, valid_for, origin) as publisher:
         start = time.monotonic()
         for due_s, record in schedule(folder, rate, speed):

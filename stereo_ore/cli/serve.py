@@ -6,7 +6,7 @@ import logging
 import re
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -27,6 +27,9 @@ SinksFile = Annotated[Path | None, typer.Option("--sinks", help="File of consume
 OpcUaPort = Annotated[int | None, typer.Option("--opcua", min=1, max=65535, help="Serve OPC UA on this loopback port.")]
 MqttPort = Annotated[int | None, typer.Option("--mqtt", min=1, max=65535, help="Port of a broker on this machine.")]
 TcpPort = Annotated[int | None, typer.Option("--tcp", min=0, max=65535, help="Serve JSON lines on this loopback port.")]
+ModbusPort = Annotated[
+    int | None, typer.Option("--modbus", min=1, max=65535, help="Serve Modbus TCP on this loopback port.")
+]
 ValidFor = Annotated[
     float, typer.Option("--valid-for", min=0.1, max=60, help="Seconds for which a frame's targets hold.")
 ]
@@ -52,11 +55,16 @@ def serve(
     opcua: OpcUaPort = None,
     mqtt: MqttPort = None,
     tcp: TcpPort = None,
+    modbus: ModbusPort = None,
     size: Annotated[
         str | None,
         typer.Option(metavar="WxH", help="Pixels of one eye, for a calibration file of several; default: as seen."),
     ] = None,
     page: Annotated[int | None, typer.Option(min=0, max=65535, help="Live page on this loopback port.")] = None,
+    page_name: Annotated[
+        list[str] | None,
+        typer.Option("--page-name", help="Name under which a reverse proxy on this machine shows the live page."),
+    ] = None,
     valid_for: ValidFor = 5.0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a different run in --out.")] = False,
 ) -> None:
@@ -71,7 +79,7 @@ def serve(
     from stereo_ore.io.parameters import load_config
     from stereo_ore.io.site import load_site
     from stereo_ore.plant.loop import processing
-    from stereo_ore.plant.sinks.message import Origin, transform_id
+    from stereo_ore.plant.sinks.message import Origin, new_session, transform_id
     from stereo_ore.plant.sinks.settings import load_sinks, open_sinks
     from stereo_ore.runs.driver import Driver
     from stereo_ore.runs.folder import RunFolder
@@ -79,20 +87,21 @@ def serve(
     from stereo_ore.runs.history import Watch
     from stereo_ore.runs.identity import InputFiles, description, write_inputs
 
-    consumers = open_sinks(load_sinks(sinks, opcua=opcua, mqtt=mqtt, tcp=tcp))
+    consumer_settings = load_sinks(sinks, opcua=opcua, mqtt=mqtt, tcp=tcp, modbus=modbus)
     parameters = load_config(config, settings or [])
     frames, calibration = _open(source, watch, camera, calib, _size(size), parameters.source.max_pixels)
     chain = Chain(calibration, load_site(site) if site else None, parameters)
     if chain.site.T_arm_camera is None:
         log.warning("no arm_from_camera in a site file: frames are recorded, but no target is ever published as valid")
+    origin = Origin(new_session(), transform_id(chain.site.T_arm_camera))
+    consumers = open_sinks(consumer_settings, origin)
     inputs = InputFiles(calib, site, config)
     about = description(frames.name, chain, inputs)
     with RunFolder(out, about, resume=not overwrite, overwrite=overwrite) as folder:
         write_inputs(out, chain, inputs)
-        origin = Origin(transform_id=transform_id(chain.site.T_arm_camera))
         watcher = Watch(parameters.health, folder.earlier())
         process = processing(Driver(chain, FrameFiles(out), unattended=True), watcher)
-        run_live(frames, process, folder, consumers, origin, valid_for, page)
+        run_live(frames, process, folder, consumers, origin, valid_for, page, page_name or ())
 
 
 def run_live(
@@ -103,6 +112,7 @@ def run_live(
     origin: Origin,
     valid_for_s: float,
     page: int | None,
+    page_names: Sequence[str] = (),
 ) -> None:
     """Serve until a signal or the end of the source; then give the folder its final names."""
     from stereo_ore.plant.loop import serve as serve_frames
@@ -114,7 +124,8 @@ def run_live(
     with Publisher(consumers, valid_for_s, origin) as publisher, _signals(stop), ExitStack() as stack:
         status = Status(source, publisher)
         if page is not None:
-            typer.echo(f"live page: {stack.enter_context(LivePage(page, status, folder.folder)).url}", err=True)
+            shown = stack.enter_context(LivePage(page, status, folder.folder, page_names))
+            typer.echo(f"live page: {shown.url}", err=True)
         for state in publisher.states():
             log.info("%s: %s", state.name, state.address)
         done = serve_frames(source, process, folder, publisher, status, stop)

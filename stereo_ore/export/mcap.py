@@ -19,6 +19,7 @@ from stereo_ore.record import to_line
 from stereo_ore.types import F64
 
 CAMERA_FRAME, ARM_FRAME = "left_rectified", "arm"
+STATIC = "/tf_static"
 UNKNOWN_PERIOD_NS = 1_000_000_000
 """Frames without a stamp are put this far apart, from the beginning of time on: no stamp is made up that looks real."""
 
@@ -62,7 +63,10 @@ def write_mcap(results: Results, path: Path) -> Path:
                 stamp_ns = stamp_of(record)
                 for topic, message in _messages(results, record, store.types, first=record is records[0]):
                     if topic not in connections:
-                        connections[topic] = bag.add_connection(topic, message.__msgtype__, typestore=store)
+                        offered = _latched() if topic == STATIC else ()
+                        connections[topic] = bag.add_connection(
+                            topic, message.__msgtype__, typestore=store, offered_qos_profiles=offered
+                        )
                     bag.write(connections[topic], stamp_ns, store.serialize_cdr(message, message.__msgtype__))
 
     try:
@@ -71,6 +75,16 @@ def write_mcap(results: Results, path: Path) -> Path:
         shutil.rmtree(path, ignore_errors=True)
         raise
     return path / f"{path.name}.mcap"
+
+
+def _latched() -> tuple[Any, ...]:
+    """Quality of service that listeners to static transforms ask for (REP 2003); without it they get none."""
+    from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+
+    unlimited = QosTime(2147483647, 4294967295)
+    reliable, durable = QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL
+    liveliness = QosLiveliness.SYSTEM_DEFAULT
+    return (Qos(QosHistory.KEEP_LAST, 1, reliable, durable, unlimited, unlimited, liveliness, unlimited, False),)
 
 
 def stamp_of(record: Json) -> int:
@@ -85,7 +99,7 @@ def _messages(results: Results, record: Json, types: Types, first: bool) -> Iter
     """All messages of a frame."""
     ros, frame = _Ros(types, stamp_of(record)), record["frame"]
     if first and results.site.T_arm_camera is not None:
-        yield "/tf_static", ros.transform(results.site.T_arm_camera)
+        yield STATIC, ros.transform(results.site.T_arm_camera)
     if (cloud := results.cloud(frame)) is not None:
         yield "/stereo_ore/cloud", ros.cloud(cloud)
     yield "/stereo_ore/ores", ros.detections(record)

@@ -13,7 +13,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from stereo_ore.errors import MissingExtraError
+from stereo_ore.errors import MissingExtraError, OutputError
 from stereo_ore.io.atomic import guarded, make_folder
 from stereo_ore.io.ore_table import FIELDS, ore_row
 from stereo_ore.io.results import Json, Results
@@ -21,16 +21,23 @@ from stereo_ore.io.results import Json, Results
 if TYPE_CHECKING:
     import pyarrow as pa
 
-SCHEMA = "stereo_ore/parquet/1"
-NO_DAY = "__HIVE_DEFAULT_PARTITION__"
-"""Hive's name for null: the day of frames without a stamp."""
+SCHEMA = "stereo_ore/parquet/2"
+NO_DAY = "undated"
+"""Folder of frames without a stamp. No folder is named key=value: readers disagree on the type of such a date."""
+EARLIER = "date=*"
+"""Folders of version 1, whose date was in their names only: pandas can't read them when a date is missing."""
 
 COUNTS = ("pixels", "disparities", "points", "voxels", "kept", "ores", "targets")
 UNITS = {"_m": "m", "_m3": "m³", "_deg": "degree"}
 FRAMES_A_GROUP = 1000
 """Frames whose rows are held in memory, and written as one row group."""
 
-_KEYS = {"run": "string", "camera": "string", "frame": "string", "index": "int64", "stamp_utc": "timestamp[ns]"}
+_KEYS = {
+    **dict.fromkeys(("run", "camera", "frame"), "string"),
+    "index": "int64",
+    "stamp_utc": "timestamp[ns]",
+    "date": "date32",
+}
 _ORE_TYPES = {
     **dict.fromkeys(("id", "target_rank"), "int32"),
     **dict.fromkeys(("points", "pixels"), "int64"),
@@ -57,7 +64,7 @@ TABLES = {
 
 
 def write_parquet(results: Results, folder: Path, camera: str | None = None) -> Path:
-    """Add a run to `folder`: ``ores/date=YYYY-MM-DD/RUN.parquet`` and ``frames/…``; the path of the former.
+    """Add a run to `folder`: ``ores/YYYY-MM-DD/RUN.parquet`` and ``frames/…``; the path of the former.
 
     RUN is made from the run's parameters and the SHA-256 of its first frame, so a run that is added again, perhaps
     with more frames, takes its own place. `camera` tells cameras apart; without it the calibration's name does.
@@ -67,12 +74,17 @@ def write_parquet(results: Results, folder: Path, camera: str | None = None) -> 
     MissingExtraError
         Without the pyarrow package.
     OutputError
-        When the folder can't be written.
+        When the folder can't be written, or holds tables of an earlier version.
     """
     try:
         import pyarrow  # noqa: F401
     except ImportError:
         raise MissingExtraError("pyarrow", "parquet") from None
+    if old := next((path for table in TABLES for path in (folder / table).glob(EARLIER)), None):
+        remedy = "Export every run again, into a new folder"
+        raise OutputError(
+            "is of an earlier version; new tables beside it can't be read as one", file=old, remedy=remedy
+        )
     run, label, records = run_id(results), camera or results.camera or "", results.each_record()
     with _files(folder, run) as files:
         while group := list(islice(records, FRAMES_A_GROUP)):
@@ -95,8 +107,9 @@ def _rows(records: Iterable[Json], labels: Json) -> dict[Place, list[Json]]:
     found: dict[Place, list[Json]] = defaultdict(list)
     for record in records:
         stamp = record["stamp_ns"]
-        day = NO_DAY if stamp is None else datetime.fromtimestamp(stamp // 10**9, UTC).date().isoformat()
-        keys = labels | {"frame": record["frame"], "index": record["index"], "stamp_utc": stamp}
+        date = None if stamp is None else datetime.fromtimestamp(stamp // 10**9, UTC).date()
+        day = date.isoformat() if date else NO_DAY
+        keys = labels | {"frame": record["frame"], "index": record["index"], "stamp_utc": stamp, "date": date}
         found["frames", day].append(keys | _frame_row(record))
         # A day without ores has its empty table too: it was looked at.
         found["ores", day] += [keys | _ore_row(record, ore) for ore in record["ores"]]
@@ -132,7 +145,7 @@ class _Files:
         from pyarrow import parquet
 
         schema = schema_of(table)
-        path = self.folder / table / f"date={day}" / f"{self.run}.parquet"
+        path = self.folder / table / day / f"{self.run}.parquet"
         if path not in self.writers:
             make_folder(path.parent)
             guarded(path, lambda: self.writers.update({path: parquet.ParquetWriter(_part(path), schema, **OPTIONS)}))
@@ -147,7 +160,7 @@ class _Files:
         for path in self.writers:
             guarded(path, lambda path=path: os.replace(_part(path), path))  # type: ignore[misc]
         for table in TABLES:
-            for old in set((self.folder / table).glob(f"date=*/{self.run}.parquet")) - self.writers.keys():
+            for old in set((self.folder / table).glob(f"*/{self.run}.parquet")) - self.writers.keys():
                 guarded(old, old.unlink)
 
     def drop(self) -> None:

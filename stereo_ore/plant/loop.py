@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import json
+import logging
 import threading
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
-from stereo_ore.io.results import parse_record
+from stereo_ore.io.results import Json, parse_record
 from stereo_ore.plant.frames import LiveFrame, LiveSource, Position
 from stereo_ore.plant.publisher import Publisher
 from stereo_ore.plant.status import Status
 from stereo_ore.runs.driver import Driver
 from stereo_ore.runs.folder import FrameLines, RunFolder
 from stereo_ore.runs.history import Watch
+
+log = logging.getLogger(__name__)
 
 Process = Callable[[LiveFrame], FrameLines]
 
@@ -50,9 +53,20 @@ def serve(
         folder.add(lines)
         record = json.loads(lines.record)
         publisher.publish(record, frame.age_s)
-        status.add(record)
+        status.add(record, frame.age_s)
+        _tell(record, frame)
         done += 1
     return done
+
+
+def _tell(record: Json, frame: LiveFrame) -> None:
+    """One line a frame; its fields are in `extra`, for a log that a program reads."""
+    codes = [reason["code"] for reason in record["reasons"]]
+    fields = {"frame": frame.name, "status": record["status"], "reasons": codes, "targets": len(record["targets"])}
+    fields["latency_ms"] = round(1000 * frame.age_s)
+    reasons = f" ({', '.join(codes)})" if codes else ""
+    text = "frame %s: %s%s, %d targets, %d ms after it arrived"
+    log.info(text, frame.name, record["status"], reasons, fields["targets"], fields["latency_ms"], extra=fields)
 
 
 def processing(driver: Driver, watch: Watch) -> Process:

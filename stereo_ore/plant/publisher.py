@@ -11,7 +11,7 @@ from types import TracebackType
 from typing import Self
 
 from stereo_ore.plant.sinks.base import SinkState, TargetSink
-from stereo_ore.plant.sinks.message import Json, Message, Origin, message, notice
+from stereo_ore.plant.sinks.message import Json, Message, Origin, message, new_session, notice
 
 
 class Publisher:
@@ -24,13 +24,13 @@ class Publisher:
     valid_for_s : float
         How long a frame's targets hold after it was taken [s].
     origin : Origin
-        What all messages share; a session is put in.
+        What all messages share; a session is put in where there is none.
     """
 
     def __init__(self, sinks: Sequence[TargetSink], valid_for_s: float, origin: Origin = Origin()) -> None:  # noqa: B008
         self.valid_for_s = valid_for_s
         self._sinks = sinks
-        self._origin = replace(origin, session=f"{time.time_ns():x}")
+        self._origin = origin if origin.session else replace(origin, session=new_session())
         self._sequence = 1
         self._latest = notice(0, self._origin, "starting")
         self._changed = threading.Condition()

@@ -1,11 +1,13 @@
-"""How a live run is doing: what the operator's page shows."""
+"""How a live run is doing: what the operator's page, a monitor and a watchdog are shown."""
 
 from __future__ import annotations
 
 import threading
 import time
+from bisect import bisect_left
 from collections import Counter, deque
-from dataclasses import asdict
+from copy import deepcopy
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from stereo_ore.plant.frames import LiveSource
@@ -14,6 +16,19 @@ from stereo_ore.plant.sinks.message import Json
 
 RATE_FRAMES = 20
 """The frame rate is taken over this many frames."""
+LATENCY_S = (0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0)
+"""Upper bounds of the classes in which latencies are counted."""
+
+
+@dataclass
+class Counts:
+    """What has happened since the start."""
+
+    statuses: Counter[str] = field(default_factory=Counter)
+    reasons: Counter[str] = field(default_factory=Counter)
+    targets: int = 0
+    latencies: list[int] = field(default_factory=lambda: [0] * (len(LATENCY_S) + 1))
+    latency_sum_s: float = 0.0
 
 
 class Status:
@@ -23,15 +38,45 @@ class Status:
         self._source, self._publisher = source, publisher
         self._lock = threading.Lock()
         self._times: deque[float] = deque(maxlen=RATE_FRAMES)
-        self._statuses: Counter[str] = Counter()
+        self._counts = Counts()
+        self._target_at: float | None = None
         self._last: Json | None = None
 
-    def add(self, record: Json) -> None:
-        """One frame is done."""
+    def add(self, record: Json, latency_s: float | None = None) -> None:
+        """One frame is done, `latency_s` after it arrived [s]; negative latencies, of a clock set back, count as 0."""
         with self._lock:
+            counts = self._counts
             self._times.append(time.monotonic())
-            self._statuses[record["status"]] += 1
+            counts.statuses[record["status"]] += 1
+            counts.reasons.update(reason["code"] for reason in record["reasons"])
+            counts.targets += len(record["targets"])
+            if record["targets"]:
+                self._target_at = time.monotonic()
+            if latency_s is not None:
+                counts.latencies[bisect_left(LATENCY_S, latency_s)] += 1
+                counts.latency_sum_s += max(0.0, latency_s)
             self._last = record
+
+    def counts(self) -> Counts:
+        """A copy of all counts."""
+        with self._lock:
+            return deepcopy(self._counts)
+
+    def ages_s(self) -> tuple[float | None, float | None]:
+        """Time since the last frame and since the last frame with a target [s]; None: there was none."""
+        now = time.monotonic()
+        with self._lock:
+            frame_at, target_at = self._times[-1] if self._times else None, self._target_at
+        return None if frame_at is None else now - frame_at, None if target_at is None else now - target_at
+
+    def alarms(self) -> list[str]:
+        """What somebody has to look after."""
+        return [f"{state.name}: {state.alarm}" for state in self._publisher.states() if state.alarm]
+
+    @property
+    def publisher(self) -> Publisher:
+        """Where its targets go."""
+        return self._publisher
 
     @property
     def last_frame(self) -> str | None:
@@ -45,7 +90,7 @@ class Status:
         latest = self._publisher.latest
         with self._lock:
             times, last = list(self._times), self._last
-            statuses = dict(self._statuses)
+            statuses = dict(self._counts.statuses)
         span = now - times[0] if len(times) > 1 else 0.0
         return {
             "source": self._source.state(),

@@ -16,7 +16,7 @@ OUTBOX_SIZE = 64
 
 @dataclass(frozen=True)
 class SinkState:
-    """How a sink is doing, for the operator."""
+    """How a sink is doing, for the operator; `alarm` is what he has to look after, empty while all is well."""
 
     name: str
     address: str
@@ -25,6 +25,8 @@ class SinkState:
     sent: int
     dropped: int
     detail: str = ""
+    alarm: str = ""
+    restarts: int = 0
 
 
 class TargetSink(Protocol):

@@ -11,6 +11,7 @@ import json
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
 from typing import Any
 
 from stereo_ore.types import F64
@@ -26,7 +27,8 @@ Vector = tuple[float, float, float]
 class Target:
     """One lump to strike, best first: arm frame, metres.
 
-    `direction` is the unit vector the tool moves along; `size_m` longest, middle and shortest dimension.
+    `direction` is the unit vector the tool moves along; `size_m` longest, middle and shortest dimension; `sigma_m` the
+    standard deviations of the centre of gravity along the axes of the camera.
     """
 
     id: int
@@ -35,6 +37,8 @@ class Target:
     size_m: Vector | None
     oversize: bool | None
     score: float
+    volume_m3: float | None = None
+    sigma_m: Vector | None = None
 
 
 @dataclass(frozen=True)
@@ -79,17 +83,55 @@ class Message:
         """The same frame without targets, and why."""
         return replace(self, targets=(), reasons=(*self.reasons, reason))
 
+    def shortened(self, count: int) -> Message:
+        """The same frame with its `count` best targets, and why there are no more."""
+        if count >= len(self.targets):
+            return self
+        return replace(self, targets=self.targets[:count], reasons=(*self.reasons, "TARGETS_LEFT_OUT"))
+
     def json(self) -> dict[str, Any]:
-        """What goes over the wire; units and frame are in it."""
+        """What goes over the wire; units and frame are in it.
+
+        Times are there twice: in nanoseconds, which JavaScript and other readers without 64-bit integers round, and as
+        text with all nine digits.
+        """
         head = {"schema": SCHEMA, "sequence": self.sequence, "valid": self.valid, "units": "m", "coordinates": "arm"}
         fields = asdict(self)
         del fields["deadline"]
         origin: dict[str, Any] = fields.pop("origin")
-        return head | origin | fields
+        times = {f"{name}_utc": utc(fields[f"{name}_ns"]) for name in ("stamp", "published", "valid_until")}
+        return head | origin | fields | times
 
     def line(self) -> str:
         """One line of JSON."""
         return json.dumps(self.json(), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+
+
+def utc(nanoseconds: int | None) -> str | None:
+    """RFC 3339 text with nine digits of a second; None for None and for years that it can't write."""
+    if nanoseconds is None:
+        return None
+    seconds, rest = divmod(nanoseconds, 10**9)
+    try:
+        return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%dT%H:%M:%S}.{rest:09d}Z"
+    except (ValueError, OverflowError, OSError):
+        return None
+
+
+def new_session() -> str:
+    """A name for the messages of this start of the program."""
+    return f"{time.time_ns():x}"
+
+
+def offline(origin: Origin) -> str:
+    """What a broker says for a program that has vanished: a line of JSON that withdraws all its session has said.
+
+    It is written down before the first message and sent after the last, so it has no number and no time: a consumer
+    that keeps the newest must not compare it.
+    """
+    gone = notice(0, origin, "offline").json()
+    none = dict.fromkeys(("sequence", "published_ns", "valid_until_ns", "published_utc", "valid_until_utc"))
+    return json.dumps(gone | none, separators=(",", ":"))
 
 
 def notice(sequence: int, origin: Origin, status: str) -> Message:
@@ -155,7 +197,10 @@ def _target(ore: Json) -> Target | None:
     if any(value is None for value in numbers):
         return None
     size = ore["size_m"] and tuple(ore["size_m"])
-    return Target(ore["id"], tuple(point), tuple(direction), size, ore["oversize"], strike["score"])
+    centre = ore["centre_of_gravity"]
+    sigma = centre and centre["sigma_m"] and tuple(centre["sigma_m"])
+    plan = tuple(point), tuple(direction), size, ore["oversize"], strike["score"]
+    return Target(ore["id"], *plan, ore["volume_m3"], sigma)
 
 
 def transform_id(T_arm_camera: F64 | None) -> str | None:

@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import hmac
-import logging
 import socket
-import threading
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -18,20 +14,17 @@ from typing import TYPE_CHECKING, Any, Self
 from stereo_ore.errors import MissingExtraError, OutputError
 from stereo_ore.plant.sinks.base import Outbox, SinkState
 from stereo_ore.plant.sinks.message import Message, Origin, notice
+from stereo_ore.plant.sinks.opcua_access import Users, guard
 from stereo_ore.plant.sinks.opcua_model import CONTROL, NAMESPACE, PAYLOAD, Variable
+from stereo_ore.plant.sinks.opcua_nodeset import nodeset
+from stereo_ore.plant.sinks.supervisor import Supervisor
 
 if TYPE_CHECKING:
     from asyncua import Node, Server, ua
 
-log = logging.getLogger(__name__)
-
 APPLICATION_URI = "urn:stereo-ore:server"
 PATH = "/stereo-ore"
 HEARTBEAT_S = 0.5
-STARTING_S = 60.0
-RESTART_S = 2.0
-METRE = 5067858
-"""UNECE code of the metre, as OPC UA's EUInformation wants it."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +50,13 @@ class OpcUaSink:
         Without it connections are open and not encrypted: for this machine only, which the settings see to.
     """
 
-    def __init__(self, host: str, port: int, security: OpcUaSecurity | None = None) -> None:
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        security: OpcUaSecurity | None = None,
+        origin: Origin = Origin(),  # noqa: B008
+    ) -> None:
         try:
             import asyncua  # noqa: F401
         except ImportError:
@@ -65,12 +64,11 @@ class OpcUaSink:
         self.url = f"opc.tcp://{host}:{port}{PATH}"
         self._host, self._port, self._security = host, port, security
         self._outbox = Outbox()
-        self._ready = threading.Event()
-        self._fault: Exception | None = None
+        self._latest = notice(0, origin, "starting")
         self._sent = 0
         self._acknowledged = (0, 0)
         self._server: Server | None = None
-        self._thread = threading.Thread(target=self._run, daemon=True, name="opcua")
+        self._supervisor = Supervisor(f"OPC UA at {self.url}", self._serve, lambda: self._outbox.finished)
 
     def __enter__(self) -> Self:
         try:
@@ -78,81 +76,72 @@ class OpcUaSink:
         except OSError as fault:
             remedy = "Is another program listening there?"
             raise OutputError(f"can't serve {self.url}: {fault.strerror}", key="opcua", remedy=remedy) from None
-        self._thread.start()
-        if not self._ready.wait(STARTING_S) or self._fault:
-            remedy = "Are certificate and key what they should be?"
-            raise OutputError(f"can't serve {self.url}: {self._fault or 'no answer'}", key="opcua", remedy=remedy)
+        self._supervisor.start("opcua", "Are certificate and key what they should be?")
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._outbox.close()
-        self._thread.join()
+        self._supervisor.join()
 
     def publish(self, message: Message) -> None:
         """Hand the message to the server's thread."""
         self._outbox.put(message)
 
     def state(self) -> SinkState:
-        """Connected clients, messages written, and what the arm acknowledged last."""
+        """Connected clients, messages written, what the arm acknowledged last, and whether the server is in order."""
         binary = self._server.bserver if self._server else None
         clients = len(binary.clients) if binary else 0
         sequence, target = self._acknowledged
         detail = f"acknowledged: message {sequence}, ore {target}" if sequence else "nothing acknowledged"
-        detail = f"failed: {self._fault}" if self._fault else detail
-        return SinkState("OPC UA", self.url, clients > 0, clients, self._sent, self._outbox.dropped, detail)
-
-    def _run(self) -> None:
-        """Serve until the outbox is closed; a server that fails after it was up is started again."""
-        while not self._outbox.finished:
-            try:
-                self._fault = None
-                asyncio.run(self._serve())
-            except Exception as fault:
-                self._fault = fault
-                log.debug("OPC UA server", exc_info=True)
-                if not self._ready.is_set():
-                    break
-                log.error("OPC UA server failed, starting again: %s", fault)
-                time.sleep(RESTART_S)
-        self._ready.set()
+        count = self._sent, self._outbox.dropped
+        watched = self._supervisor.alarm, self._supervisor.restarts
+        return SinkState("OPC UA", self.url, clients > 0, clients, *count, detail, *watched)
 
     async def _serve(self) -> None:
+        """One life of the server: it ends when the outbox is finished, or with the fault of any of its tasks."""
         server = await _make_server(self.url, self._security)
         nodes = await _add_nodes(server)
-        await self._write(server, nodes, notice(0, Origin(), "starting"))
+        await self._write(server, nodes, self._latest.current())
         async with server:
             self._server = server
-            self._ready.set()
-            beating = asyncio.create_task(self._beat(server, nodes))
-            while not self._outbox.finished:
-                message = await asyncio.to_thread(self._outbox.get, HEARTBEAT_S)
-                if message is not None:
-                    await self._write(server, nodes, message)
-                    self._sent += 1
-            beating.cancel()
+            self._supervisor.up()
+            async with asyncio.TaskGroup() as tasks:
+                beating = tasks.create_task(self._beat(server, nodes))
+                while not self._outbox.finished:
+                    message = await asyncio.to_thread(self._take)
+                    if message is not None:
+                        await self._write(server, nodes, message)
+                        self._sent += 1
+                beating.cancel()
             # Subscriptions publish at their own pace: what was written last must still reach them.
             await asyncio.sleep(HEARTBEAT_S)
+
+    def _take(self) -> Message | None:
+        """The next message; it is kept, for a server that fails before it has written it."""
+        message = self._outbox.get(HEARTBEAT_S)
+        self._latest = message or self._latest
+        return message
 
     async def _write(self, server: Server, nodes: Mapping[str, Node], message: Message) -> None:
         """All values of a message, in the order of the model and with one timestamp."""
         now = datetime.now(UTC)
         for variable in PAYLOAD:
-            value = _data_value(variable, variable.value(message), now)
+            certain = variable.certain or message.valid
+            value = _data_value(variable, variable.value(message), now, certain)
             await _write(server, nodes[variable.name], value)
 
     async def _beat(self, server: Server, nodes: Mapping[str, Node]) -> None:
         """Count the heartbeat up, and look for acknowledgements, as long as the server's loop runs."""
-        from asyncua import ua
-
+        heartbeat, *acknowledgements = CONTROL
         count = 0
         while True:
             count = (count + 1) % 2**32
-            value = ua.DataValue(ua.Variant(count, ua.VariantType.UInt32), SourceTimestamp=datetime.now(UTC))
-            await _write(server, nodes["Heartbeat"], value)
-            acknowledged = [await nodes[name].read_value() for name in ("AcknowledgedSequence", "AcknowledgedTarget")]
-            self._acknowledged = acknowledged[0], acknowledged[1]
+            await _write(server, nodes[heartbeat.name], _data_value(heartbeat, count, datetime.now(UTC)))
+            self._supervisor.beat()
+            sequence, target = (_whole_number(server, nodes[variable.name]) for variable in acknowledgements)
+            self._acknowledged = sequence, target
             await asyncio.sleep(HEARTBEAT_S)
 
 
@@ -164,18 +153,28 @@ async def _write(server: Server, node: Node, value: ua.DataValue) -> None:
     status.check()
 
 
-def _data_value(variable: Variable, value: Any, now: datetime) -> ua.DataValue:
+def _data_value(variable: Variable, value: Any, now: datetime, certain: bool = True) -> ua.DataValue:
+    """A value of the model; Uncertain keeps the value for the client, where Bad would make it null."""
     from asyncua import ua
 
-    kind = ua.VariantType[variable.type]
-    variant = ua.Variant(value, kind, is_array=isinstance(value, list))
-    return ua.DataValue(variant, SourceTimestamp=now, ServerTimestamp=now)
+    variant = ua.Variant(value, ua.VariantType[variable.type], is_array=isinstance(value, list))
+    status = ua.StatusCode(ua.StatusCodes.Good if certain else ua.StatusCodes.Uncertain)
+    return ua.DataValue(variant, StatusCode=status, SourceTimestamp=now, ServerTimestamp=now)
+
+
+def _whole_number(server: Server, node: Node) -> int:
+    """What a client has written last; 0 for anything but a whole number of good quality."""
+    from asyncua import ua
+
+    value = server.iserver.aspace.read_attribute_value(node.nodeid, ua.AttributeIds.Value)
+    good = value.StatusCode is None or value.StatusCode.is_good()
+    return value.Value.Value if good and type(value.Value.Value) is int else 0
 
 
 async def _make_server(url: str, security: OpcUaSecurity | None) -> Server:
     from asyncua import Server, ua
 
-    server = Server(user_manager=_Users(security.users if security else None))
+    server = Server(user_manager=Users(security.users if security else None))
     # Certificates first: a wrong one shows before the standard's thousands of nodes are made.
     if security is not None:
         await server.load_certificate(security.certificate)
@@ -205,60 +204,15 @@ async def _validator(trusted: Path) -> Any:
 
 
 async def _add_nodes(server: Server) -> dict[str, Node]:
-    """Folders and variables by name."""
+    """The nodes of the model by name, made from the NodeSet2 file that other tools import."""
     from asyncua import ua
 
     namespace = await server.register_namespace(NAMESPACE)
-    root = await server.nodes.objects.add_object(ua.NodeId("StereoOre", namespace), f"{namespace}:StereoOre")
-    folders = {}
-    for name in ("Result", "Targets", "Acknowledgement"):
-        folders[name] = await root.add_object(ua.NodeId(f"StereoOre.{name}", namespace), f"{namespace}:{name}")
-    nodes = {}
-    empty = notice(0, Origin(), "starting")
-    for variable in (*PAYLOAD, *CONTROL):
-        id = ua.NodeId(f"StereoOre.{variable.folder}.{variable.name}", namespace)
-        value = _data_value(variable, variable.value(empty), datetime.now(UTC)).Value
-        node = await folders[variable.folder].add_variable(id, f"{namespace}:{variable.name}", value)
-        await _describe(node, variable, namespace)
-        nodes[variable.name] = node
+    await server.import_xml(xmlstring=nodeset())
+    names = {v.name: f"StereoOre.{v.folder}.{v.name}" for v in (*PAYLOAD, *CONTROL)}
+    nodes = {name: server.get_node(ua.NodeId(id, namespace)) for name, id in names.items()}
+    now = datetime.now(UTC)
+    for variable in CONTROL:
+        await _write(server, nodes[variable.name], _data_value(variable, 0, now))
+    guard(server, {nodes[variable.name].nodeid for variable in CONTROL if variable.folder == "Acknowledgement"})
     return nodes
-
-
-async def _describe(node: Node, variable: Variable, namespace: int) -> None:
-    """Description, frame and unit as properties, and write access where the arm has it."""
-    from asyncua import ua
-
-    text = ua.DataValue(ua.Variant(ua.LocalizedText(variable.text), ua.VariantType.LocalizedText))
-    await node.write_attribute(ua.AttributeIds.Description, text)
-    if variable.name in ("Position", "Direction"):
-        await node.add_property(namespace, "Frame", "arm")
-    if variable.unit:
-        code = METRE if variable.unit == "m" else -1
-        unit = ua.EUInformation(
-            NamespaceUri="http://www.opcfoundation.org/UA/units/un/cefact",
-            UnitId=code,
-            DisplayName=ua.LocalizedText(variable.unit),
-        )
-        await node.add_property(ua.NodeId(f"{node.nodeid.Identifier}.Unit", namespace), "0:EngineeringUnits", unit)
-    if variable.folder == "Acknowledgement":
-        await node.set_writable()
-
-
-class _Users:
-    """Who may connect: anybody without a list of users, else those on it with their password. Nobody is an admin."""
-
-    def __init__(self, passwords: Mapping[str, str] | None) -> None:
-        self._passwords = passwords
-
-    def get_user(
-        self, iserver: Any, username: str | None = None, password: str | None = None, certificate: Any = None
-    ) -> Any:
-        from asyncua.server.user_managers import User, UserRole
-
-        if self._passwords is None:
-            return User(role=UserRole.User)
-        expected = self._passwords.get(username or "")
-        if expected is None or not hmac.compare_digest(expected.encode(), (password or "").encode()):
-            log.warning("OPC UA: login refused")
-            return None
-        return User(role=UserRole.User, name=username)

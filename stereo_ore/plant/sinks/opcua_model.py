@@ -20,14 +20,33 @@ from stereo_ore.plant.sinks.message import Message, Target
 NAMESPACE = "urn:stereo-ore:targets"
 SLOTS = 16
 
-NAN3 = (float("nan"),) * 3
+NAN = float("nan")
 OVERSIZE = {True: 1, False: 0, None: -1}
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+NO_TIME = datetime(1601, 1, 1, tzinfo=UTC)
+"""OPC UA's null time."""
+LARGEST_INT32 = 2**31 - 1
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit of UNECE Recommendation 20; `code` is its common code as the number that EUInformation wants."""
+
+    name: str
+    code: int
+
+
+UNITS = {"m": Unit("metre", 5067858), "m³": Unit("cubic metre", 5067857), "ns": Unit("nanosecond", 4404279)}
+"""MTR, MTQ, C47: the characters of the common code as one big-endian number (OPC 10000-8, 5.6.3)."""
 
 
 @dataclass(frozen=True)
 class Variable:
-    """A node: folder, name, OPC UA type, description, and its value for a message; `unit` "m" where it has one."""
+    """A node: folder, name, OPC UA type, description, and its value for a message.
+
+    `length` is that of an array: None for a scalar, 0 for one that varies. `certain` is False for what means nothing
+    while no target is valid: such a node then has the status Uncertain.
+    """
 
     folder: str
     name: str
@@ -35,59 +54,85 @@ class Variable:
     text: str
     value: Callable[[Message], Any]
     unit: str = ""
+    length: int | None = None
+    frame: str = ""
+    certain: bool = True
 
 
-def _vectors(get: Callable[[Target], Iterable[float] | None]) -> Callable[[Message], list[float]]:
-    """A flat array x0 y0 z0 x1 …: three values a slot."""
+def _slot(name: str, type: str, text: str, get: Callable[[Target], Any], empty: Any, unit: str = "") -> Variable:
+    """An array with a value a slot."""
 
-    def value(message: Message) -> list[float]:
-        used = [number for target in message.targets[:SLOTS] for number in (get(target) or NAN3)]
-        return used + [float("nan")] * (3 * SLOTS - len(used))
-
-    return value
-
-
-def _slots(get: Callable[[Target], Any], empty: Any) -> Callable[[Message], list[Any]]:
     def value(message: Message) -> list[Any]:
         used = [get(target) for target in message.targets[:SLOTS]]
         return used + [empty] * (SLOTS - len(used))
 
-    return value
+    return Variable("Targets", name, type, text, value, unit, SLOTS, certain=False)
 
 
-def _time(nanoseconds: int) -> datetime:
-    return EPOCH + timedelta(microseconds=nanoseconds // 1000)
+def _vectors(
+    name: str, text: str, get: Callable[[Target], Iterable[float] | None], unit: str = "", frame: str = ""
+) -> Variable:
+    """A flat array x0 y0 z0 x1 …: three values a slot."""
+
+    def value(message: Message) -> list[float]:
+        used = [number for target in message.targets[:SLOTS] for number in (get(target) or (NAN,) * 3)]
+        return used + [NAN] * (3 * SLOTS - len(used))
+
+    return Variable("Targets", name, "Double", text, value, unit, 3 * SLOTS, frame, certain=False)
+
+
+def _result(name: str, type: str, text: str, value: Callable[[Message], Any], **more: Any) -> Variable:
+    return Variable("Result", name, type, text, value, **more)
+
+
+def _time(nanoseconds: int | None) -> datetime:
+    return NO_TIME if nanoseconds is None else EPOCH + timedelta(microseconds=nanoseconds // 1000)
+
+
+def _index(message: Message) -> int:
+    return -1 if message.index is None else message.index
 
 
 PAYLOAD = (
-    Variable("Targets", "SequenceNumber", "UInt32", "Sequence; first written", lambda m: [m.sequence] * SLOTS),
+    Variable(
+        "Targets",
+        "SequenceNumber",
+        "UInt32",
+        "Sequence; first written",
+        lambda m: [m.sequence] * SLOTS,
+        length=SLOTS,
+    ),
     Variable("Targets", "Valid", "Boolean", "true while targets may be struck", lambda m: m.valid),
     Variable("Targets", "Count", "UInt32", "slots in use, best target first", lambda m: len(m.targets[:SLOTS])),
-    Variable("Targets", "Id", "UInt32", "ore id in the frame; 0: slot not in use", _slots(lambda t: t.id, 0)),
-    Variable("Targets", "Position", "Double", "strike points x y z", _vectors(lambda t: t.position_m), "m"),
-    Variable("Targets", "Direction", "Double", "unit vectors the tool moves along", _vectors(lambda t: t.direction)),
-    Variable("Targets", "Size", "Double", "longest, middle, shortest; NaN unknown", _vectors(lambda t: t.size_m), "m"),
-    Variable("Targets", "Oversize", "Int16", "1 yes, 0 no, -1 unknown", _slots(lambda t: OVERSIZE[t.oversize], -1)),
-    Variable("Targets", "Score", "Double", "quality of the strike", _slots(lambda t: t.score, float("nan"))),
-    Variable("Result", "Frame", "String", "name of the frame", lambda m: m.frame or ""),
-    Variable(
-        "Result", "FrameIndex", "Int64", "number of the frame; -1: none", lambda m: -1 if m.index is None else m.index
-    ),
-    Variable("Result", "StampNs", "Int64", "camera's time of the frame; 0 unknown", lambda m: m.stamp_ns or 0, "ns"),
-    Variable("Result", "Published", "DateTime", "when it was published", lambda m: _time(m.published_ns)),
-    Variable("Result", "ValidUntil", "DateTime", "strike no later", lambda m: _time(m.valid_until_ns)),
-    Variable("Result", "Status", "String", "ok, degraded, empty, failed, expired …", lambda m: m.status),
-    Variable("Result", "Reasons", "String", "codes", lambda m: list(m.reasons)),
-    Variable("Result", "Session", "String", "changes when Sequence begins anew", lambda m: m.origin.session),
-    Variable("Result", "TransformId", "String", "the arm_from_camera in use", lambda m: m.origin.transform_id or ""),
-    Variable("Result", "Replay", "Boolean", "true: a recording, not the camera", lambda m: m.origin.replay),
-    Variable("Result", "Json", "String", "the whole message in one value", lambda m: m.line()),
-    Variable("Result", "Sequence", "UInt32", "number of the message; last written", lambda m: m.sequence),
-)
+    _slot("Id", "UInt32", "ore id in the frame; 0: slot not in use", lambda t: t.id, 0),
+    _vectors("Position", "strike points x y z", lambda t: t.position_m, "m", "arm"),
+    _vectors("Direction", "unit vectors the tool moves along", lambda t: t.direction, frame="arm"),
+    _vectors("Size", "longest, middle, shortest; NaN unknown", lambda t: t.size_m, "m"),
+    _slot("Volume", "Double", "volume of the lump; NaN unknown", lambda t: NAN if t.volume_m3 is None else t.volume_m3,
+          NAN, "m³"),
+    _vectors("Sigma", "standard deviations of the centre of gravity; NaN unknown", lambda t: t.sigma_m, "m",
+             "left_rectified"),
+    _slot("Oversize", "Int16", "1 yes, 0 no, -1 unknown", lambda t: OVERSIZE[t.oversize], -1),
+    _slot("Score", "Double", "quality of the strike", lambda t: t.score, NAN),
+    _result("Frame", "String", "name of the frame", lambda m: m.frame or ""),
+    _result("FrameIndex", "Int64", "number of the frame; -1: none", _index),
+    _result("FrameIndex32", "Int32", "FrameIndex for clients without 64 bits", lambda m: min(_index(m), LARGEST_INT32)),
+    _result("StampNs", "Int64", "camera's time of the frame; 0 unknown", lambda m: m.stamp_ns or 0, unit="ns"),
+    _result("Stamp", "DateTime", "StampNs to the microsecond; null time: unknown", lambda m: _time(m.stamp_ns)),
+    _result("Published", "DateTime", "when it was published", lambda m: _time(m.published_ns)),
+    _result("ValidUntil", "DateTime", "strike no later", lambda m: _time(m.valid_until_ns)),
+    _result("Status", "String", "ok, degraded, empty, failed, expired …", lambda m: m.status),
+    _result("Reasons", "String", "codes", lambda m: list(m.reasons), length=0),
+    _result("Session", "String", "changes when Sequence begins anew", lambda m: m.origin.session),
+    _result("TransformId", "String", "the arm_from_camera in use", lambda m: m.origin.transform_id or ""),
+    _result("Replay", "Boolean", "true: a recording, not the camera", lambda m: m.origin.replay),
+    _result("Json", "String", "the whole message in one value", lambda m: m.line()),
+    _result("Sequence", "UInt32", "number of the message; last written", lambda m: m.sequence),
+)  # fmt: skip
 """In the order in which they are written."""
 
 CONTROL = (
-    Variable("Result", "Heartbeat", "UInt32", "counts up twice a second while the program lives", lambda m: 0),
+    _result("Heartbeat", "UInt32", "counts up twice a second while the program lives", lambda m: 0),
     Variable("Acknowledgement", "AcknowledgedSequence", "UInt32", "arm: Sequence of the message in use", lambda m: 0),
     Variable("Acknowledgement", "AcknowledgedTarget", "UInt32", "arm: Id of the target being struck", lambda m: 0),
 )

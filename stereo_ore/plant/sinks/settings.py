@@ -9,12 +9,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, IPvAnyNetwork
 
 from stereo_ore.config.validation import validate
 from stereo_ore.errors import ConfigError
 from stereo_ore.io.yaml_io import load_yaml, read_text
 from stereo_ore.plant.sinks.base import TargetSink
+from stereo_ore.plant.sinks.message import Origin
 
 LOOPBACK = "127.0.0.1"
 Port = Annotated[int, Field(ge=1, le=65535)]
@@ -41,6 +42,7 @@ class MqttSettings(_Section):
     host: str = LOOPBACK
     port: Port = 1883
     topic: str = Field("stereo_ore/targets", min_length=1, pattern=r"^[^+#\x00]+$")
+    qos: Literal[0, 1] = 0
     authority: Path | None = None
     users: Path | None = None
 
@@ -52,6 +54,14 @@ class TcpSettings(_Section):
     port: Annotated[int, Field(ge=0, le=65535)] = 5020
 
 
+class ModbusSettings(_Section):
+    """Modbus TCP, which knows neither users nor encryption; beyond this machine only for the clients that are named."""
+
+    host: str = LOOPBACK
+    port: Port = 502
+    clients: tuple[IPvAnyNetwork, ...] = ()
+
+
 class SinksSettings(_Section):
     """All consumers; a section that is not given is off."""
 
@@ -60,6 +70,7 @@ class SinksSettings(_Section):
     opcua: OpcUaSettings | None = None
     mqtt: MqttSettings | None = None
     tcp: TcpSettings | None = None
+    modbus: ModbusSettings | None = None
 
 
 def load_sinks(path: Path | None, **ports: int | None) -> SinksSettings:
@@ -98,7 +109,12 @@ def _resolve(settings: SinksSettings, folder: Path) -> SinksSettings:
 
 
 def _check_addresses(settings: SinksSettings, origin: Path) -> None:
-    needs = {"opcua": ("certificate", "private_key", "users"), "mqtt": ("authority", "users"), "tcp": None}
+    needs = {
+        "opcua": ("certificate", "private_key", "users"),
+        "mqtt": ("authority", "users"),
+        "modbus": ("clients",),
+        "tcp": None,
+    }
     for name, fields in needs.items():
         part = getattr(settings, name)
         if part is None or is_loopback(part.host):
@@ -107,7 +123,7 @@ def _check_addresses(settings: SinksSettings, origin: Path) -> None:
         if fields is None:
             remedy = "JSON lines are not guarded: use 127.0.0.1 and a tunnel, or OPC UA"
             raise ConfigError(problem, file=origin, key=f"{name}.host", remedy=remedy)
-        if missing := [field for field in fields if getattr(part, field) is None]:
+        if missing := [field for field in fields if not getattr(part, field)]:
             remedy = f"Give {', '.join(f'{name}.{field}' for field in missing)}, or use 127.0.0.1"
             raise ConfigError(problem, file=origin, key=f"{name}.host", remedy=remedy)
     if settings.opcua and (settings.opcua.certificate is None) != (settings.opcua.private_key is None):
@@ -118,13 +134,16 @@ def _check_addresses(settings: SinksSettings, origin: Path) -> None:
 
 
 def read_users(path: Path) -> dict[str, str]:
-    """Passwords by user from lines ``name:password``; the file must be readable by its owner only."""
+    """Passwords by user from lines ``name:password``; the file must be readable by its owner only.
+
+    Blanks around name and password are no part of them, so that ``name: password`` is what it looks like.
+    """
     text = read_text(path, ConfigError)
     if os.name == "posix" and path.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
         raise ConfigError("holds passwords but others may read it", file=path, remedy=f"chmod 600 {path}")
     users: dict[str, str] = {}
     for number, line in enumerate(text.splitlines(), 1):
-        name, colon, password = line.partition(":")
+        name, colon, password = (part.strip() for part in line.partition(":"))
         if line.strip() and not (name and colon and password):
             raise ConfigError(f"line {number} is not name:password", file=path, remedy="One user a line")
         if line.strip():
@@ -134,33 +153,45 @@ def read_users(path: Path) -> dict[str, str]:
     return users
 
 
-def open_sinks(settings: SinksSettings) -> list[TargetSink]:
-    """A sink for each consumer in the settings, not yet entered."""
-    return [make(part) for name, make in MAKERS.items() if (part := getattr(settings, name)) is not None]
+def open_sinks(settings: SinksSettings, origin: Origin = Origin()) -> list[TargetSink]:  # noqa: B008
+    """A sink for each consumer in the settings, not yet entered; `origin` is what all messages will share."""
+    return [make(part, origin) for name, make in MAKERS.items() if (part := getattr(settings, name)) is not None]
 
 
-def _opcua(settings: OpcUaSettings) -> TargetSink:
+def _opcua(settings: OpcUaSettings, origin: Origin) -> TargetSink:
     from stereo_ore.plant.sinks.opcua import OpcUaSecurity, OpcUaSink
 
     security = None
     if settings.certificate and settings.private_key:
         users = read_users(settings.users) if settings.users else None
         security = OpcUaSecurity(settings.certificate, settings.private_key, settings.trusted, users)
-    return OpcUaSink(settings.host, settings.port, security)
+    return OpcUaSink(settings.host, settings.port, security, origin)
 
 
-def _mqtt(settings: MqttSettings) -> TargetSink:
+def _mqtt(settings: MqttSettings, origin: Origin) -> TargetSink:
     from stereo_ore.plant.sinks.mqtt import MqttLogin, MqttSink
 
     user, password = next(iter(read_users(settings.users).items())) if settings.users else (None, None)
-    return MqttSink(settings.host, settings.port, settings.topic, MqttLogin(user, password, settings.authority))
+    login = MqttLogin(user, password, settings.authority)
+    return MqttSink(settings.host, settings.port, settings.topic, login, qos=settings.qos, origin=origin)
 
 
-def _tcp(settings: TcpSettings) -> TargetSink:
+def _tcp(settings: TcpSettings, origin: Origin) -> TargetSink:
     from stereo_ore.plant.sinks.tcp import TcpSink
 
     return TcpSink(settings.host, settings.port)
 
 
-MAKERS: dict[str, Callable[[Any], TargetSink]] = {"opcua": _opcua, "mqtt": _mqtt, "tcp": _tcp}
+def _modbus(settings: ModbusSettings, origin: Origin) -> TargetSink:
+    from stereo_ore.plant.sinks.modbus import ModbusSink
+
+    return ModbusSink(settings.host, settings.port, settings.clients, origin)
+
+
+MAKERS: dict[str, Callable[[Any, Origin], TargetSink]] = {
+    "opcua": _opcua,
+    "mqtt": _mqtt,
+    "tcp": _tcp,
+    "modbus": _modbus,
+}
 """To add a consumer: its section in `SinksSettings` and its line here."""

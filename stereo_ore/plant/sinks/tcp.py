@@ -8,6 +8,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from types import TracebackType
 from typing import Self
 
@@ -20,6 +21,8 @@ log = logging.getLogger(__name__)
 HEARTBEAT_S = 1.0
 SEND_TIMEOUT_S = 5.0
 MAX_CONSUMERS = 16
+HANGING_S = 2.5
+"""A consumer that has taken nothing for this time, in which two heartbeats were due, gives its place to one waiting."""
 CLOSING_S = 1.0
 """Time a consumer has to take the last messages."""
 
@@ -91,7 +94,7 @@ class TcpSink:
             except OSError:
                 return
             with self._lock:
-                if len(self._consumers) >= MAX_CONSUMERS:
+                if len(self._consumers) >= MAX_CONSUMERS and not self._make_room():
                     connection.close()
                     continue
                 consumer = _Consumer(connection, str(address), self._leave)
@@ -101,11 +104,25 @@ class TcpSink:
                 # Under the lock, for whoever finds a consumer may join its thread.
                 consumer.thread.start()
 
+    def _make_room(self) -> bool:
+        """Cut off the consumer that has hung for longest; False when none hangs. The lock is held."""
+        longest = min(self._consumers, key=lambda consumer: consumer.taken)
+        if time.monotonic() - longest.taken < HANGING_S:
+            return False
+        log.warning("TCP consumer %s takes nothing: cut off for another", longest.address)
+        self._forget(longest)
+        longest.cut()
+        return True
+
     def _leave(self, consumer: _Consumer) -> None:
         with self._lock:
-            del self._consumers[consumer]
-            self._sent += consumer.sent
-            self._dropped += consumer.outbox.dropped
+            if consumer in self._consumers:
+                self._forget(consumer)
+
+    def _forget(self, consumer: _Consumer) -> None:
+        del self._consumers[consumer]
+        self._sent += consumer.sent
+        self._dropped += consumer.outbox.dropped
 
 
 class _Consumer:
@@ -113,8 +130,10 @@ class _Consumer:
 
     def __init__(self, connection: socket.socket, address: str, leave: Callable[[_Consumer], None]) -> None:
         self.outbox = Outbox()
+        self.address = address
         self.sent = 0
-        self._connection, self._address, self._leave = connection, address, leave
+        self.taken = time.monotonic()
+        self._connection, self._leave = connection, leave
         self.thread = threading.Thread(target=self._run, daemon=True, name=f"tcp {address}")
 
     def _run(self) -> None:
@@ -127,11 +146,18 @@ class _Consumer:
                     self.sent += 1
                 elif not self.outbox.finished:
                     self._connection.sendall(_heartbeat())
+                self.taken = time.monotonic()
         except OSError as fault:
-            log.info("TCP consumer %s is gone: %s", self._address, fault)
+            log.info("TCP consumer %s is gone: %s", self.address, fault)
         finally:
             self._connection.close()
             self._leave(self)
+
+    def cut(self) -> None:
+        """End the connection under the thread that sends; it then closes and leaves by itself."""
+        self.outbox.close()
+        with suppress(OSError):
+            self._connection.shutdown(socket.SHUT_RDWR)
 
 
 def _heartbeat() -> bytes:

@@ -1,0 +1,171 @@
+"""Targets on a Modbus TCP server; the registers are in `modbus_table`."""
+
+from __future__ import annotations
+
+import asyncio
+import ipaddress
+import logging
+import socket
+from collections.abc import Callable, Sequence
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+from stereo_ore.errors import MissingExtraError, OutputError
+from stereo_ore.plant.sinks.base import SinkState
+from stereo_ore.plant.sinks.message import Message, Origin, notice
+from stereo_ore.plant.sinks.modbus_table import (
+    ACKNOWLEDGEMENT,
+    ACKNOWLEDGEMENT_WORDS,
+    READABLE_WORDS,
+    acknowledged,
+    words,
+)
+from stereo_ore.plant.sinks.supervisor import Supervisor
+
+if TYPE_CHECKING:
+    from pymodbus.constants import ExcCodes
+    from pymodbus.server import ModbusTcpServer
+
+log = logging.getLogger(__name__)
+
+HEARTBEAT_S = 0.5
+FUNCTIONS = (3, 4, 6, 16, 22, 23)
+"""Read registers of either kind; write one, several, bits of one; write and read. There are no coils."""
+MAX_CONSUMERS = 16
+
+Network = ipaddress.IPv4Network | ipaddress.IPv6Network
+
+
+class ModbusSink:
+    """Serves the latest targets at `host`:`port`, to every device number; only the acknowledgement can be written.
+
+    Registers are made when they are read, so the remaining time is that of the answer, and one request is never torn.
+
+    Parameters
+    ----------
+    host, port
+        Where to listen.
+    clients : sequence of networks
+        Addresses that may connect; empty: any, for a server on this machine only.
+    origin : Origin
+        What messages share, for the time before the first.
+    """
+
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        clients: Sequence[Network] = (),
+        origin: Origin = Origin(),  # noqa: B008
+    ) -> None:
+        try:
+            import pymodbus  # noqa: F401
+        except ImportError:
+            raise MissingExtraError("pymodbus", "modbus") from None
+        self.address = f"{host}:{port}"
+        self._host, self._port, self._clients = host, port, tuple(clients)
+        self._latest = notice(0, origin, "starting")
+        self._sent = self._refused = self._beats = 0
+        self._closed = False
+        self._registers: list[int] = []
+        self._server: ModbusTcpServer | None = None
+        self._supervisor = Supervisor(f"Modbus TCP at {self.address}", self._serve, lambda: self._closed)
+
+    def __enter__(self) -> Self:
+        remedy = "Is another program listening there? Ports below 1024 need a right to them (CAP_NET_BIND_SERVICE)"
+        try:
+            socket.create_server((self._host, self._port)).close()
+        except OSError as fault:
+            problem = f"can't serve Modbus TCP at {self.address}: {fault.strerror}"
+            raise OutputError(problem, key="modbus", remedy=remedy) from None
+        self._supervisor.start("modbus", remedy)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._closed = True
+        self._supervisor.join()
+
+    def publish(self, message: Message) -> None:
+        """Make the message the one that is read from now on."""
+        self._latest = message
+        self._sent += 1
+
+    def state(self) -> SinkState:
+        """Connected masters, messages shown, what the arm acknowledged last, and whether the server is in order."""
+        clients = len(self._server.active_connections) if self._server else 0
+        written = self._registers[ACKNOWLEDGEMENT : ACKNOWLEDGEMENT + ACKNOWLEDGEMENT_WORDS]
+        sequence, target = acknowledged(written) if written else (0, 0)
+        detail = f"acknowledged: message {sequence}, ore {target}" if sequence else "nothing acknowledged"
+        detail += f"; {self._refused} connections refused" if self._refused else ""
+        watched = self._supervisor.alarm, self._supervisor.restarts
+        return SinkState("Modbus TCP", self.address, clients > 0, clients, self._sent, 0, detail, *watched)
+
+    async def _serve(self) -> None:
+        """One life of the server."""
+        from pymodbus.server import ModbusTcpServer
+        from pymodbus.simulator import DataType, SimData, SimDevice
+
+        registers = DataType.REGISTERS
+        table = [
+            SimData(0, values=0, count=READABLE_WORDS, datatype=registers, readonly=True),
+            SimData(ACKNOWLEDGEMENT, values=0, count=ACKNOWLEDGEMENT_WORDS, datatype=registers),
+        ]
+        server = ModbusTcpServer(SimDevice(0, simdata=table, action=self._access), address=(self._host, self._port))
+        server.callback_new_connection = self._guarded(server.callback_new_connection)
+        await server.serve_forever(background=True)
+        try:
+            self._server = server
+            self._supervisor.up()
+            while not self._closed:
+                if not server.is_active():
+                    raise OutputError("no longer listens", key="modbus")
+                self._beats += 1
+                self._supervisor.beat()
+                await asyncio.sleep(HEARTBEAT_S)
+            # Masters poll: what was published last must still reach them.
+            await asyncio.sleep(HEARTBEAT_S)
+        finally:
+            await server.shutdown()
+
+    async def _access(
+        self, function: int, start: int, address: int, count: int, registers: list[int], values: list[int] | None
+    ) -> ExcCodes | None:
+        """Fill the table in for a request, just before it is answered."""
+        from pymodbus.constants import ExcCodes
+
+        if function not in FUNCTIONS:
+            return ExcCodes.ILLEGAL_FUNCTION
+        self._registers = registers
+        if values is None:
+            registers[:READABLE_WORDS] = words(self._latest, self._beats)
+        return None
+
+    def _guarded(self, make: Callable[[], Any]) -> Callable[[], Any]:
+        """Handlers of connections that are ended at once for strangers, and when there are too many."""
+
+        def handler() -> Any:
+            made = make()
+            accept = made.connection_made
+
+            def connection_made(transport: asyncio.Transport) -> None:
+                accept(transport)
+                if not self._welcome(transport.get_extra_info("peername")[0]):
+                    self._refused += 1
+                    transport.abort()
+
+            made.connection_made = connection_made
+            return made
+
+        return handler
+
+    def _welcome(self, peer: str) -> bool:
+        address = ipaddress.ip_address(peer.partition("%")[0])
+        if self._clients and not any(address in network for network in self._clients):
+            log.warning("Modbus TCP: %s is not among modbus.clients: refused", peer)
+            return False
+        if self._server is not None and len(self._server.active_connections) > MAX_CONSUMERS:
+            log.warning("Modbus TCP: %d masters are connected, %s is refused", MAX_CONSUMERS, peer)
+            return False
+        return True
