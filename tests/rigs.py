@@ -29,7 +29,7 @@ def cameras(coefficients: int = 5) -> st.SearchStrategy[CameraModel]:
     return st.builds(
         CameraModel,
         st.tuples(number(300, 1500), number(300, 1500)),
-        st.tuples(number(530, 750), number(270, 450)),
+        st.tuples(number(560, 720), number(300, 420)),
         st.tuples(*[number(-0.05, 0.05)] * coefficients),
     )
 
