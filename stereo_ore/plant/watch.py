@@ -221,7 +221,8 @@ def _after_waiting(fault: FrameError, waited_s: float) -> FrameError:
 def _is_whole(file: Path, unchanged_s: float) -> bool:
     """Whether a file ends as its format says or, for formats that say nothing, has not changed for a while."""
     try:
-        data = file.read_bytes()
+        # Of a file only: a pipe under its name would be waited for.
+        data = file.read_bytes() if file.is_file() else b""
     except OSError:
         return False
     complete = is_complete(data)
