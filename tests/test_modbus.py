@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Iterator
 from ipaddress import ip_network
+from itertools import cycle
 from typing import Any
 
 import pytest
@@ -157,38 +158,37 @@ def test_written_and_read_in_one_request(sink, master):
 
 def test_no_request_is_torn_and_a_set_read_in_parts_tells(sink, master):
     stop = threading.Event()
-    numbers = iter(range(1, 10**9))
+    messages = cycle([make_message(sequence, ores=16) for sequence in range(1, 200)])
 
     def publish() -> None:
-        while not stop.is_set():
-            sink.publish(make_message(next(numbers), ores=16))
-            time.sleep(0.002)
+        while not stop.wait(0.01):
+            sink.publish(next(messages))
 
     publisher = threading.Thread(target=publish)
     publisher.start()
     try:
-        torn = whole = 0
         wait_for(lambda: entries(read_all(master))["sequence"])
-        for _ in range(150):
+        torn, end = 0, time.monotonic() + 3
+        while torn == 0 or time.monotonic() < end:
+            assert time.monotonic() < end + 20, "or the test shows nothing"
             found = entries(master.read_holding_registers(0, count=AT_ONCE).registers)
             for slot in (1, 2, 3):
                 assert found[f"target_{slot}.sequence_low"] == found["sequence"] % 2**16
                 assert found[f"target_{slot}.position_x"] == found["sequence"]
-            found = entries(read_all(master))
-            lows = {found[f"target_{slot}.sequence_low"] for slot in range(1, SLOTS + 1)}
-            consistent = len({found[f"target_{slot}.position_x"] for slot in range(1, SLOTS + 1)}) == 1
-            if found["sequence"] == found["sequence_again"] and lows == {found["sequence"] % 2**16}:
-                whole += 1
-                assert consistent
-            else:
-                torn += 1
-            if torn > 20:
-                time.sleep(0.001)
+            torn += not check_set(entries(read_all(master)))
     finally:
         stop.set()
         publisher.join()
-    assert torn > 0, "or the test shows nothing"
-    assert entries(read_all(master))["sequence"] == entries(read_all(master))["sequence_again"]
+    assert check_set(entries(read_all(master)))
+
+
+def check_set(found: dict[str, Any]) -> bool:
+    """Whether the numbers say that a set is whole; then it must be."""
+    slots = range(1, SLOTS + 1)
+    lows = {found[f"target_{slot}.sequence_low"] for slot in slots}
+    whole = found["sequence"] == found["sequence_again"] and lows == {found["sequence"] % 2**16}
+    assert not whole or {found[f"target_{slot}.position_x"] for slot in slots} == {found["sequence"]}
+    return whole
 
 
 def test_a_server_that_fails_is_an_alarm_and_starts_again(sink, monkeypatch):
@@ -220,6 +220,24 @@ def test_strangers_and_too_many_are_refused(monkeypatch):
         wait_for(lambda: sink.state().consumers == 0)
         with ModbusTcpClient(address[0], port=address[1]) as master:
             assert not master.read_holding_registers(0, count=2).isError()
+
+
+def test_a_master_that_asks_nothing_gives_its_place_to_one_that_waits(sink, monkeypatch):
+    monkeypatch.setattr(modbus, "MAX_CONSUMERS", 2)
+    monkeypatch.setattr(modbus, "IDLE_S", 1.0)
+    address = "127.0.0.1", port_of(sink)
+    with socket.create_connection(address, timeout=5) as idle, ModbusTcpClient(*address[:1], port=address[1]) as busy:
+        wait_for(lambda: sink.state().consumers == 2)
+        with socket.create_connection(address, timeout=5) as early:
+            assert refused(early)
+        time.sleep(1.1)
+        assert not busy.read_holding_registers(0, count=2).isError()
+        with ModbusTcpClient(address[0], port=address[1]) as late:
+            assert not late.read_holding_registers(0, count=2).isError()
+            assert refused(idle)
+            assert not busy.read_holding_registers(0, count=2).isError()
+            assert sink.state().consumers == 2
+    wait_for(lambda: sink.state().consumers == 0)
 
 
 def refused(connection: socket.socket) -> bool:

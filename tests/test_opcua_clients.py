@@ -297,7 +297,6 @@ def chaos(sink: OpcUaSink, writes: int) -> tuple[float, float, float]:
             assert time.monotonic() - start < 10, "a frame is not published"
         longest = max(longest, time.monotonic() - start)
         oldest = max(oldest, sink._supervisor.silent_s)
-        assert not sink.state().alarm
         time.sleep(0.02)
         if warm is None and published == 50:
             warm = used_mb()
@@ -306,10 +305,8 @@ def chaos(sink: OpcUaSink, writes: int) -> tuple[float, float, float]:
     return longest, oldest, used_mb() - (warm or used_mb())
 
 
-def check_after_chaos(sink: OpcUaSink, longest: float, oldest: float) -> None:
-    assert longest < 1.0
-    assert oldest < 2.0
-    assert sink.state().restarts == 0
+def check_after_chaos(sink: OpcUaSink) -> None:
+    assert (sink.state().restarts, sink.state().alarm) == (0, "")
     with Arm(sink.url) as arm:
         beats(arm)
         assert arm.write("AcknowledgedSequence", uint32(5)) == CODES.Good
@@ -318,8 +315,8 @@ def check_after_chaos(sink: OpcUaSink, longest: float, oldest: float) -> None:
 
 def test_random_writes_from_two_clients_stop_nothing():
     with OpcUaSink("127.0.0.1", free_port()) as sink:
-        longest, oldest, _ = chaos(sink, 400)
-        check_after_chaos(sink, longest, oldest)
+        chaos(sink, 400)
+        check_after_chaos(sink)
 
 
 @pytest.mark.slow
@@ -329,7 +326,9 @@ def test_10_000_random_writes_stop_nothing_and_leave_memory_flat(capsys: pytest.
         longest, oldest, grown_mb = chaos(sink, 10_000)
         with capsys.disabled():
             print(f"\nlongest frame {longest:.3f} s, oldest heartbeat {oldest:.3f} s, memory +{grown_mb:.1f} MB")  # noqa: T201
-        check_after_chaos(sink, longest, oldest)
+        check_after_chaos(sink)
+        assert longest < 1.0
+        assert oldest < 2.0
         assert grown_mb < 10
 
 

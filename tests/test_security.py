@@ -101,14 +101,16 @@ def test_serve_listens_nowhere_unless_asked(scene: Path, tmp_path: Path) -> None
 @linux
 def test_what_is_asked_for_listens_on_this_machine_only(scene: Path, tmp_path: Path) -> None:
     pytest.importorskip("asyncua", reason="asyncua is not installed")
-    with serving(scene, tmp_path, "--tcp", "0", "--page", "0", "--opcua", str(free_port())) as (process, _):
+    pytest.importorskip("pymodbus", reason="pymodbus is not installed")
+    ports = "--opcua", str(free_port()), "--modbus", str(free_port())
+    with serving(scene, tmp_path, "--tcp", "0", "--page", "0", *ports) as (process, _):
         listening = [address for address, state in sockets(process.pid) if state == LISTENING]
         assert listening == ["0100007F"]
         count = sum(
             LISTENING in line.split()[3] and line.split()[9] in inodes_of(process.pid)
             for line in Path("/proc/net/tcp").read_text().splitlines()[1:]
         )
-        assert count == 3
+        assert count == 4
 
 
 def inodes_of(pid: int) -> set[str]:

@@ -6,6 +6,7 @@ import asyncio
 import ipaddress
 import logging
 import socket
+import time
 from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -24,7 +25,6 @@ from stereo_ore.plant.sinks.supervisor import Supervisor
 
 if TYPE_CHECKING:
     from pymodbus.constants import ExcCodes
-    from pymodbus.server import ModbusTcpServer
 
 log = logging.getLogger(__name__)
 
@@ -32,6 +32,8 @@ HEARTBEAT_S = 0.5
 FUNCTIONS = (3, 4, 6, 16, 22, 23)
 """Read registers of either kind; write one, several, bits of one; write and read. There are no coils."""
 MAX_CONSUMERS = 16
+IDLE_S = 10.0
+"""A master that has asked nothing for this time gives its place to one waiting."""
 
 Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 
@@ -68,7 +70,7 @@ class ModbusSink:
         self._sent = self._refused = self._beats = 0
         self._closed = False
         self._registers: list[int] = []
-        self._server: ModbusTcpServer | None = None
+        self._asked: dict[asyncio.Transport, float] = {}
         self._supervisor = Supervisor(f"Modbus TCP at {self.address}", self._serve, lambda: self._closed)
 
     def __enter__(self) -> Self:
@@ -94,7 +96,7 @@ class ModbusSink:
 
     def state(self) -> SinkState:
         """Connected masters, messages shown, what the arm acknowledged last, and whether the server is in order."""
-        clients = len(self._server.active_connections) if self._server else 0
+        clients = len(self._asked)
         written = self._registers[ACKNOWLEDGEMENT : ACKNOWLEDGEMENT + ACKNOWLEDGEMENT_WORDS]
         sequence, target = acknowledged(written) if written else (0, 0)
         detail = f"acknowledged: message {sequence}, ore {target}" if sequence else "nothing acknowledged"
@@ -116,7 +118,6 @@ class ModbusSink:
         server.callback_new_connection = self._guarded(server.callback_new_connection)
         await server.serve_forever(background=True)
         try:
-            self._server = server
             self._supervisor.up()
             while not self._closed:
                 if not server.is_active():
@@ -128,6 +129,7 @@ class ModbusSink:
             await asyncio.sleep(HEARTBEAT_S)
         finally:
             await server.shutdown()
+            self._asked.clear()
 
     async def _access(
         self, function: int, start: int, address: int, count: int, registers: list[int], values: list[int] | None
@@ -143,19 +145,31 @@ class ModbusSink:
         return None
 
     def _guarded(self, make: Callable[[], Any]) -> Callable[[], Any]:
-        """Handlers of connections that are ended at once for strangers, and when there are too many."""
+        """Handlers of connections that are noted while they last, and ended at once where they are not welcome."""
 
         def handler() -> Any:
             made = make()
-            accept = made.connection_made
+            accept, take, leave = made.connection_made, made.data_received, made.connection_lost
 
             def connection_made(transport: asyncio.Transport) -> None:
                 accept(transport)
-                if not self._welcome(transport.get_extra_info("peername")[0]):
+                if self._welcome(transport.get_extra_info("peername")[0]):
+                    self._asked[transport] = time.monotonic()
+                else:
                     self._refused += 1
                     transport.abort()
 
-            made.connection_made = connection_made
+            def data_received(data: bytes) -> None:
+                if made.transport in self._asked:
+                    self._asked[made.transport] = time.monotonic()
+                    take(data)
+
+            def connection_lost(fault: Exception | None) -> None:
+                self._asked.pop(made.transport, None)
+                leave(fault)
+
+            made.connection_made, made.data_received = connection_made, data_received
+            made.connection_lost = connection_lost
             return made
 
         return handler
@@ -165,7 +179,13 @@ class ModbusSink:
         if self._clients and not any(address in network for network in self._clients):
             log.warning("Modbus TCP: %s is not among modbus.clients: refused", peer)
             return False
-        if self._server is not None and len(self._server.active_connections) > MAX_CONSUMERS:
+        if len(self._asked) < MAX_CONSUMERS:
+            return True
+        longest = min(self._asked, key=lambda transport: self._asked[transport])
+        if time.monotonic() - self._asked[longest] < IDLE_S:
             log.warning("Modbus TCP: %d masters are connected, %s is refused", MAX_CONSUMERS, peer)
             return False
+        log.warning("Modbus TCP: a master that asks nothing makes room for %s", peer)
+        del self._asked[longest]
+        longest.abort()
         return True
