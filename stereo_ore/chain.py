@@ -112,7 +112,7 @@ class Chain:
         ore_map = trace.reached("segment", self._segment(disparity, surface, screen))
         solids = trace.reached("solids", solid.solids(surface, ore_map, screen, config.solid))
         plans = strike.plans(surface, ore_map, solids, screen, site, config.strike)
-        plans = trace.reached("strikes", health.without_doubtful(plans, ore_map, disparity, parts))
+        plans = trace.reached("strikes", health.without_doubtful(plans, solids, ore_map, disparity, screen, parts))
         targets = order.order(solids, plans, site, config.order)
         found = ores.describe(surface, ore_map, solids, plans, site)
         trace.reached("ores", (found, targets))

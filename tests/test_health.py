@@ -15,7 +15,7 @@ from stereo_ore.config import GrizzlyConfig, HealthConfig
 from stereo_ore.runs.folder import FrameLines
 from stereo_ore.runs.history import Watch
 from stereo_ore.stages.health import eye_doubts, rows, screen_doubts
-from stereo_ore.types import Disparity, Plane, RectifiedPair, Region
+from stereo_ore.types import Disparity, Plane, RectifiedPair, Region, Registration
 
 CONFIG, GRIZZLY = HealthConfig(), GrizzlyConfig()
 WIDE = Screen(half=5.0, noise_px=0.15, pit=0.5)
@@ -111,6 +111,25 @@ def test_aligned_rows_are_not_told(flat_plane_pair: Any) -> None:
     pair, disparity = pair_of(flat_plane_pair)
     assert rows_of(pair, disparity) < 0.01
     assert codes(pair, disparity) == []
+
+
+def test_grain_is_no_disagreement_where_bars_were_measured(flat_plane_pair: Any) -> None:
+    pair, disparity = pair_of(flat_plane_pair)
+    bars = Registration(np.zeros(3), 0.0, 0.0, 0.0, 0.1)
+    for spread, told in ((0.1, (False, False)), (0.19, (True, False)), (0.3, (True, True))):
+        grainy = replace(disparity, cues={"spread_px": np.full_like(disparity.values, spread)})
+        found = [[reason.code for reason in eye_doubts(pair, grainy, CONFIG, known)] for known in (None, bars)]
+        assert tuple("EYES_DISAGREE" in codes for codes in found) == told
+
+
+def test_a_part_whose_rows_differ_is_told(flat_plane_pair: Any) -> None:
+    """As under a drop: the middle of one eye is magnified."""
+    pair, disparity = pair_of(flat_plane_pair)
+    v, u = np.indices(disparity.values.shape).astype(np.float32)
+    middle = 1 - ((u - 240) ** 2 + (v - 160) ** 2) / 100**2
+    dv = np.float32(0.06) * (v - 160) * np.clip(middle, 0, 1)
+    right = cv2.remap(pair.right, u, v - dv, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+    assert "PARTS_DISAGREE" in codes(replace(pair, right=np.asarray(right, np.uint8)), disparity)
 
 
 @pytest.mark.parametrize("shift_px", [-8, -6, -3, -2, -1, -0.5, 0.1, 0.25, 1, 2, 4, 7])

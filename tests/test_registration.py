@@ -1,6 +1,6 @@
 """The bars measured against their place, and the rows that show them elsewhere, on analytic screens."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -31,6 +31,13 @@ ACROSS = replace(WIDE, yaw=1.2)
 """Bars that all rows cross; of bars along the rows only the rows on them tell."""
 LUMPS = ((0.1, 0.05, 0.1, 0.12), (-0.4, -0.3, 0.05, 0.15))
 SITE = Site(opening_m=OPENING, bar_width_m=WIDTH)
+
+
+@dataclass(frozen=True)
+class Sized:
+    """What is looked at of a solid."""
+
+    size_m: F64
 
 
 def seen(screen: Screen) -> Disparity:
@@ -150,11 +157,13 @@ def test_a_lump_on_the_comb_or_in_a_doubtful_row_is_no_target() -> None:
     labels[284:, :60], labels[284:, 80:140] = 4, 5
     strike = Strike(np.zeros(3), np.array([0, 0, 1.0]), 0.0, 0.0, 1.0)
     plans = [StrikePlan((strike,))] * 4 + [StrikePlan((), (Reason("TOO_STEEP", "before"),))]
-    kept = without_doubtful(plans, OreMap(labels), disparity, parts)
+    long, short = (Sized(np.array([length, 0.1, 0.1])) for length in (1.5 * OPENING, 0.7 * OPENING))
+    kept = without_doubtful(plans, [long] * 5, OreMap(labels), disparity, grizzly, parts)
     assert [bool(plan.strikes) for plan in kept] == [True, True, False, False, False]
     assert [[reason.code for reason in plan.reasons] for plan in kept[2:]] == [
         ["ON_BARS"],
         ["IN_BAD_ROWS"],
         ["TOO_STEEP"],
     ]
-    assert without_doubtful(plans, OreMap(labels), disparity, None) == tuple(plans)
+    assert without_doubtful(plans, [long] * 5, OreMap(labels), disparity, grizzly, None) == tuple(plans)
+    assert without_doubtful(plans, [short] * 5, OreMap(labels), disparity, grizzly, parts)[2].strikes

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from stereo_ore.config import HealthConfig
-from stereo_ore.types import F32, F64, I32, Disparity, Grizzly, Mask, OreMap, Reason, Rig, StrikePlan
+from stereo_ore.types import F32, F64, I32, Disparity, Grizzly, Mask, OreMap, Reason, Rig, Solid, StrikePlan
 
 STEP = 2
 """Every so many-th pixel each way is looked at."""
@@ -83,9 +83,17 @@ def row_doubts(parts: Parts | None, config: HealthConfig) -> Iterator[Reason]:
 
 
 def without_doubtful(
-    plans: Sequence[StrikePlan], ore_map: OreMap, disparity: Disparity, parts: Parts | None
+    plans: Sequence[StrikePlan],
+    solids: Sequence[Solid | None],
+    ore_map: OreMap,
+    disparity: Disparity,
+    screen: Grizzly,
+    parts: Parts | None,
 ) -> tuple[StrikePlan, ...]:
-    """The plans, without strikes of lumps that lie in doubtful rows or are bars themselves."""
+    """The plans, without strikes of lumps that lie in doubtful rows or are bars themselves.
+
+    Small ore does lie on a bar; what is longer than an opening is wider than a bar, unless it is one.
+    """
     if parts is None:
         return tuple(plans)
     labels = ore_map.labels[disparity.region.slices][::STEP, ::STEP]
@@ -95,7 +103,8 @@ def without_doubtful(
         for part in (ore, parts.comb & ore, parts.rows[:, None] & ore)
     ]
     on_bars, in_rows = (count / np.maximum(counts[0], 1) for count in counts[1:])
-    doubts = (_doubt(*shares) for shares in zip(on_bars, in_rows, strict=True))
+    long = [solid is None or screen.opening_m is None or solid.size_m[0] > screen.opening_m for solid in solids]
+    doubts = (_doubt(*shares) for shares in zip(on_bars * long, in_rows, strict=True))
     return tuple(
         StrikePlan((), (doubt,)) if doubt and plan.strikes else plan for plan, doubt in zip(plans, doubts, strict=True)
     )
