@@ -14,6 +14,9 @@ from stereo_ore.lab import metrics
 from stereo_ore.lab.evaluate.truth import Truth
 from stereo_ore.types import F32, F64, Mask
 
+TOOL = 255
+"""Instance of the breaker's hammer in scenes with truth."""
+
 HIT_IOU = 0.5
 DOUBTFUL_FLAG = 0.05
 """Lumps whose middle dimension is this close to the opening, as a share of it, don't count for the oversize flag."""
@@ -44,7 +47,7 @@ def score(
     dict
         scene, status, match, filter, baseline, ores, solid, strike, and `lumps`: a row for each wanted lump.
     """
-    ore = truth.instance >= 2
+    ore = (truth.instance >= 2) & (truth.instance != TOOL)
     if stages["disparity"].shape != ore.shape:
         problem = f"is of images of {stages['disparity'].shape[::-1]} pixels, the truth of {ore.shape[::-1]}"
         raise SourceError(f"the result of {record['frame']} {problem}", file=truth.name, remedy="Is it this scene's?")
@@ -60,7 +63,7 @@ def score(
         "match": asdict(metrics.disparity_quality(stages["disparity"], truth.disparity, ore)),
         "filter": quality | shares,
         "baseline": tuned_baselines(xyz, noise) if baselines else None,
-        "ores": _ores(rows, matched, found, truth),
+        "ores": _ores(rows, matched, found, truth) | _on_tool(stages["ore_map"], found, truth),
         "solid": {key: _column(rows, key) for key in ("cog_xy", "cog_z", "cog_rel", "volume", "size")},
         "strike": {"distance": _column(rows, "strike_mm"), "angle": _column(rows, "strike_deg")},
         "lumps": rows,
@@ -167,6 +170,13 @@ def _ores(
         "oversize": len(oversize), "oversize_hit": sum(row["hit"] for row in oversize),
         "flag_ok": int(np.sum(flags)), "flag_n": len(flags),
     }  # fmt: skip
+
+
+def _on_tool(ore_map: npt.NDArray[Any], found: list[int], truth: Truth) -> dict[str, Any]:
+    """Ores that are by more than half the breaker's hammer, and whether it is in view."""
+    tool = truth.instance == TOOL
+    ores = [i for i in found if tool[ore_map == i].mean() > 0.5]
+    return {"on_tool": len(ores), "tool_in_view": bool(tool.any())}
 
 
 def _column(rows: list[dict[str, Any]], key: str) -> list[Any]:

@@ -29,6 +29,8 @@ def pool(rows: Sequence[Row]) -> dict[str, float]:
         "iou": _mean([o["iou"] for o in ores if o["iou"] is not None]),
         "recall50": _share(ores, "hit", "wanted"),
         "precision50": 1 - _share(ores, "false", "predicted"),
+        "on_tool": sum(o["on_tool"] for o in ores),
+        "false_ores": sum(o["false"] for o in ores),
         "oversize_recall": _share(ores, "oversize_hit", "oversize"),
         "oversize_flag": _share(ores, "flag_ok", "flag_n"),
         "cog_xy_mm": _median(xy),
