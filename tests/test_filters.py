@@ -159,7 +159,7 @@ def test_same_bytes_for_any_number_of_threads() -> None:
     code = (
         "import hashlib, os, numpy as np\n"
         "os.cpu_count = lambda: int(os.environ['THREADS'])\n"
-        "from stereo_ore import filters\n"
+        "from stereo_ore.stages import filters\n"
         "from stereo_ore.lab.bench.labelled import bare_cloud\n"
         "from stereo_ore.config import FilterConfig\n"
         "x = np.random.default_rng(0).normal(size=(20000, 3)) * [1, 1, 0.02]\n"
