@@ -196,7 +196,7 @@ def test_calibration_verdict_is_shown(tmp_path: Path) -> None:
     ("content", "message"),
     [
         ("nonsense\n", "line 1 is no JSON object"),
-        ('{"frame": "half of a pair: \\ud800"}\n', "line 1 is no JSON object"),
+        ('{"frame": "half of a pair: \\ud800"}\n', "line 1 is no record of stereo_ore/frame/2"),
         ('{"schema": "other"}\n', "line 1 is no record of stereo_ore/frame/2"),
     ],
 )

@@ -201,8 +201,8 @@ def _object(text: str, file: Path, number: int) -> Json:
     try:
         value = json.loads(text, parse_float=_finite, parse_constant=_finite)
         if HALF_PAIR.search(text):
-            # Half of a surrogate pair is JSON, but no text that a file or a table can hold.
-            json.dumps(value, ensure_ascii=False).encode()
+            # Names that are no UTF-8 are halves of surrogate pairs in JSON; no table could hold them.
+            value = json.loads(json.dumps(value, ensure_ascii=False).encode(errors="replace"))
     except (ValueError, RecursionError):
         value = None
     if not isinstance(value, dict):
