@@ -6,13 +6,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 import yaml
+from hypothesis import reject
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from stereo_ore.calibrate.detect import Board
+from stereo_ore.errors import CalibrationError
 from stereo_ore.io.calibration.geometry import make_calibration
 from stereo_ore.io.calibration.zed import SIZES
-from stereo_ore.stages.rectify import rectification
+from stereo_ore.stages.rectify import make_rectifier, rectification
 from stereo_ore.transforms import apply
 from stereo_ore.types import F64, U8, CameraModel, StereoCalibration
 
@@ -36,7 +38,8 @@ def cameras(coefficients: int = 5) -> st.SearchStrategy[CameraModel]:
 
 @st.composite
 def raw_rigs(draw: st.DrawFn, coefficients: int = 5) -> StereoCalibration:
-    return make_calibration(
+    """Rigs of raw images that can be rectified: of odd lenses a rectified camera would see nothing."""
+    rig = make_calibration(
         "drawn",
         image_size=SIZE,
         left=draw(cameras(coefficients)),
@@ -47,6 +50,11 @@ def raw_rigs(draw: st.DrawFn, coefficients: int = 5) -> StereoCalibration:
         disparity_offset_px=draw(number(-20, 20)),
         camera=draw(st.text(st.characters(categories=("L", "N", "P", "Zs")), max_size=20)),
     )
+    try:
+        make_rectifier(rig)
+    except CalibrationError:
+        reject()
+    return rig
 
 
 def example_rig() -> StereoCalibration:

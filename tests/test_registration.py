@@ -43,7 +43,7 @@ class Sized:
 def seen(screen: Screen) -> Disparity:
     surface, _ = draw(screen)
     values = RIG.disparity(surface.xyz[..., 2]).astype(np.float32)
-    return Disparity(values, Region(0, 0, RIG.width, RIG.height, 0, 64))
+    return Disparity(values, Region(0, 0, RIG.width, RIG.height, 0, 64), np.ones_like(values))
 
 
 def field(coefficients: F64) -> F64:

@@ -20,7 +20,7 @@ from stereo_ore.plant.sinks.message import Origin, message, offline, transform_i
 
 
 def test_the_records_of_these_tests_are_real_ones():
-    schema = json.loads((files("stereo_ore") / "schema" / "frame-2.json").read_text())
+    schema = json.loads((files("stereo_ore") / "schema" / "frame-1.json").read_text())
     for record in (make_record(3), make_record(4, status="degraded"), make_record(5, arm=False)):
         jsonschema.validate(record, schema)
 

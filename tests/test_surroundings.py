@@ -23,7 +23,7 @@ def world(step: float = 0.0) -> tuple[VoxelCloud, Disparity, RectifiedPair]:
     xyz = RIG.back_project(u, v, z).astype(np.float32)
     one = np.ones(len(u), np.float32)
     voxels = VoxelCloud(xyz, one.astype(np.int32), np.arange(len(u), dtype=np.int32), 0.01, one, one)
-    return voxels, Disparity(values, REGION, cues), RectifiedPair(image, image, RIG)
+    return voxels, Disparity(values, REGION, np.ones_like(values), cues), RectifiedPair(image, image, RIG)
 
 
 def test_all_context_is_there_and_a_wall_has_none() -> None:
@@ -53,7 +53,7 @@ def test_unknown_pixels_do_not_count_in_means_of_known_ones() -> None:
     values = disparity.values.copy()
     values[:, ::2] = np.nan
     cues = {name: np.where(np.isfinite(values[REGION.slices]), cue, 9) for name, cue in disparity.cues.items()}
-    found = look_around(voxels, Disparity(values, REGION, cues), pair).cues
+    found = look_around(voxels, Disparity(values, REGION, np.ones_like(values), cues), pair).cues
     np.testing.assert_allclose(found["known_41"], 0.5, atol=0.06)
     np.testing.assert_allclose(found["spread_px_known_41"], np.log(0.55), rtol=5e-3)
     np.testing.assert_allclose(found["off_41"], 0, atol=0.02)

@@ -26,7 +26,9 @@ def views() -> list[lumps.View]:
 def test_a_scene_is_seen_at_each_threshold_and_without_its_screen(views: list[lumps.View]) -> None:
     assert len(views) == len(lumps.THRESHOLDS) + 2
     kept = [int(np.isfinite(view.surface.sigma_z).sum()) for view in views]
-    assert kept[3] < kept[0] == kept[1] == kept[2] < kept[4]
+    assert kept[3] < kept[0] < kept[4]
+    # Without a plane the bars are not registered, which moves a few points.
+    assert kept[1] == kept[2] == pytest.approx(kept[0], rel=0.02)
 
 
 def test_pairs_of_one_lump_are_told_from_pairs_of_two(views: list[lumps.View]) -> None:
