@@ -116,8 +116,9 @@ def test_aligned_rows_are_not_told(flat_plane_pair: Any) -> None:
 def test_grain_is_no_disagreement_where_bars_were_measured(flat_plane_pair: Any) -> None:
     pair, disparity = pair_of(flat_plane_pair)
     bars = Registration(np.zeros(3), 0.0, 0.0, 0.0, 0.1)
-    for spread, told in ((0.1, (False, False)), (0.19, (True, False)), (0.3, (True, True))):
-        grainy = replace(disparity, cues={"spread_px": np.full_like(disparity.values, spread)})
+    least = CONFIG.min_right_share
+    for share, told in ((least + 0.02, (False, False)), (least - 0.02, (True, False)), (least / 2, (True, True))):
+        grainy = replace(disparity, confidence=np.full_like(disparity.values, share), diagnostics={})
         found = [[reason.code for reason in eye_doubts(pair, grainy, CONFIG, known)] for known in (None, bars)]
         assert tuple("EYES_DISAGREE" in codes for codes in found) == told
 

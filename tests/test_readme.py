@@ -58,7 +58,7 @@ def test_every_command_shown_has_its_verb_and_options(guide: str) -> None:
 def test_every_option_named_exists_somewhere(guide: str) -> None:
     text = re.sub(r"^dask .*", "", (ROOT / guide).read_text(encoding="utf-8"), flags=re.MULTILINE)
     known = options(root()).union(*(options(command) for command in commands(root()).values()))
-    assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", text)) <= known | {"--strict"}
+    assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", text)) <= known | {"--strict", "--require-hashes"}
 
 
 @pytest.mark.parametrize("page", PAGES)
