@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from stereo_ore.errors import FrameError, SourceError
+from stereo_ore.errors import SourceError
 
 if TYPE_CHECKING:
     from stereo_ore.io.recordings import Source
@@ -44,6 +44,7 @@ def calibration_of(
 ) -> StereoCalibration:
     """The calibration given or, without one, that of the recording."""
     from stereo_ore.io.calibration import load
+    from stereo_ore.io.recordings import frame_size
 
     if calib:
         return load(calib, image_size=image_size, recorded_size=frame_size(recording))
@@ -51,14 +52,3 @@ def calibration_of(
         raise SourceError("carries no calibration", file=recording.path, remedy="Give one with --calib")
     log.info("calibration: camera_info of the recording")
     return recording.calibration
-
-
-def frame_size(recording: Source) -> tuple[int, int] | None:
-    """Width and height of the first frame that can be read: some calibration files hold several resolutions."""
-    for index in range(len(recording.names)):
-        try:
-            left = recording.read(index).left
-        except FrameError:
-            continue
-        return left.shape[1], left.shape[0]
-    return None

@@ -16,13 +16,12 @@ import os
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from stereo_ore.config.models import MAX_PIXELS
 from stereo_ore.errors import FrameError, SourceError
-from stereo_ore.io.recordings import expect_eyes, limit_pixels
+from stereo_ore.io.recordings import expect_eyes, frame_size, limit_pixels
 from stereo_ore.io.recordings.folder import ImagePairs
 from stereo_ore.io.recordings.images import is_complete
 from stereo_ore.io.recordings.names import natural_key
@@ -237,8 +236,6 @@ def _changed_ns(arrival: Arrival) -> int:
 def first_size(folder: Path) -> tuple[int, int] | None:
     """Width and height [px] of the first frame that lies in a folder already and can be read."""
     for arrival in arrivals(folder, ()) if folder.is_dir() else ():
-        if arrival.paired:
-            with suppress(FrameError):
-                left = arrival.source.read(0).left
-                return left.shape[1], left.shape[0]
+        if arrival.paired and (size := frame_size(arrival.source)):
+            return size
     return None

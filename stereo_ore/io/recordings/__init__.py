@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
@@ -16,8 +17,18 @@ from stereo_ore.io.recordings.images import IMAGE_SUFFIXES
 from stereo_ore.io.recordings.side_by_side import open_side_by_side_image
 from stereo_ore.io.recordings.svo import open_svo
 from stereo_ore.io.recordings.video import VIDEO_SUFFIXES, open_video
+from stereo_ore.types import StereoPair
 
-__all__ = ["BagOptions", "Source", "describe", "expect_eyes", "limit_pixels", "open_source", "open_two_files"]
+__all__ = [
+    "BagOptions",
+    "Source",
+    "describe",
+    "expect_eyes",
+    "frame_size",
+    "limit_pixels",
+    "open_source",
+    "open_two_files",
+]
 
 KINDS = {
     "image pairs": "frame# of two images",
@@ -68,6 +79,20 @@ def expect_eyes(source: Source, eye_size: tuple[int, int]) -> Source:
     return cast(Source, replace(cast(Any, source), eye_size=eye_size)) if hasattr(source, "eye_size") else source
 
 
+def frame_size(source: Source) -> tuple[int, int] | None:
+    """Width and height [px] of the first frame that can be read: some calibration files hold several resolutions."""
+    pair = _first_pair(source)
+    return None if pair is None else (pair.left.shape[1], pair.left.shape[0])
+
+
+def _first_pair(source: Source, most: int | None = None) -> StereoPair | None:
+    """The first frame that can be read, of `most` that are tried."""
+    for index in range(len(source.names))[:most]:
+        with suppress(FrameError):
+            return source.read(index)
+    return None
+
+
 def known_layouts() -> str:
     """One sentence that lists what a SOURCE can be."""
     return (
@@ -84,13 +109,8 @@ def describe(source: Source) -> str:
     about, count = source.description, len(source.names)
     kind = KINDS.get(about["kind"], "frame# of " + " and ".join(about.get("topics", [about["kind"]])))
     words = f"{count} {kind.replace('#', 's' * (count != 1))}"
-    for index in range(min(count, MOST_TRIED)):
-        try:
-            pair = source.read(index)
-        except FrameError:
-            continue
+    if (pair := _first_pair(source, MOST_TRIED)) is not None:
         height, width = pair.left.shape[:2]
         words += f"{',' if ' of ' in words else ' of'} 2 × {width}×{height}"
         words += f", stamps: {pair.stamp_source}" if pair.stamp_source else ""
-        break
     return "; ".join(filter(None, (words, *getattr(source, "notes", ()))))

@@ -35,11 +35,6 @@ MOST_SCANS = 64
 """Scans of a progressive JPEG: decoders go through the whole picture for each, whatever little it holds."""
 
 
-def is_image(path: Path) -> bool:
-    """True for a file name that can hold an image, hidden files left out."""
-    return path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith(".")
-
-
 Image = npt.NDArray[Any]
 """(H, W, 3) BGR, uint8 or uint16."""
 
