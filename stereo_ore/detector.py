@@ -25,7 +25,7 @@ from stereo_ore.runs.identity import InputFiles
 from stereo_ore.runs.run import RunOptions
 from stereo_ore.runs.run import run as run_frames
 from stereo_ore.stages import filters
-from stereo_ore.types import F32, Mask, Rig, Site, StereoCalibration, StereoPair, bare_cloud
+from stereo_ore.types import F32, Mask, Rig, Site, StereoCalibration, StereoPair, centred_cloud
 
 if TYPE_CHECKING:
     from typing import Self
@@ -266,5 +266,5 @@ def filter_cloud(xyz: npt.ArrayLike, method: str = "adaptive", **params: Any) ->
         raise CloudError(f"has shape {points.shape}; (N, 3) is wanted", key="xyz")
     settings = [f"filter.method={method}"]
     config = load_config(None, settings).filter.model_copy(update={"params": params})
-    result = filters.apply(bare_cloud(points), config)
+    result = filters.apply(centred_cloud(points), config)
     return result.keep, result.score

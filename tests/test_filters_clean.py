@@ -13,8 +13,7 @@ from stereo_ore.network import Network, average
 from stereo_ore.stages import filters
 from stereo_ore.stages.filters.evidence import quantiles, vote_scales
 from stereo_ore.stages.filters.scorer import Scorer
-from stereo_ore.types import F64
-from stereo_ore.types import bare_cloud as _voxels
+from stereo_ore.types import F64, centred_cloud
 
 
 def kept(xyz: F64, method: str = "adaptive") -> np.ndarray:
@@ -77,12 +76,12 @@ def test_normals_and_spacing_of_a_lattice() -> None:
 def test_scale_turn_and_order_decide_a_thousandth_at_most(direction: synth.Direction, share: float) -> None:
     xyz, _ = synth.paper_cloud(4, direction, share)
     rng, config = np.random.default_rng(0), FilterConfig()
-    keep = filters.apply(_voxels(xyz), config).keep
+    keep = filters.apply(centred_cloud(xyz), config).keep
     order = rng.permutation(len(xyz))
-    np.testing.assert_array_equal(filters.apply(_voxels(xyz[order]), config).keep, keep[order])
+    np.testing.assert_array_equal(filters.apply(centred_cloud(xyz[order]), config).keep, keep[order])
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     for moved in (xyz * 1e-3, xyz * 1e3, xyz @ turn):
-        assert (filters.apply(_voxels(moved), config).keep != keep).mean() <= 0.001
+        assert (filters.apply(centred_cloud(moved), config).keep != keep).mean() <= 0.001
 
 
 def test_quantiles_are_those_of_numpy() -> None:

@@ -76,7 +76,7 @@ def filter_(
     from stereo_ore.io import clouds
     from stereo_ore.io.parameters import load_config
     from stereo_ore.stages import filters
-    from stereo_ore.types import bare_cloud
+    from stereo_ore.types import centred_cloud
 
     config = load_config(
         None, [f"filter.method={method}", *(f"filter.params.{text}" for text in settings or [])]
@@ -89,7 +89,7 @@ def filter_(
     xyz = clouds.xyz(records)
     metres = _metres(source, xyz, unit)
     if like is None:
-        result = filters.apply(bare_cloud(xyz * metres), config)
+        result = filters.apply(centred_cloud(xyz * metres), config)
     else:
         result = filters.apply_like(like, xyz, params, metres)
     clouds.write(out, records[result.keep], viewpoint)

@@ -37,7 +37,8 @@ from stereo_ore.types.stages import (
     StereoPair,
     Surface,
     VoxelCloud,
-    bare_cloud,
+    centred_cloud,
+    single_voxels,
 )
 
 __all__ = [
@@ -82,6 +83,7 @@ __all__ = [
     "Surface",
     "Volume",
     "VoxelCloud",
-    "bare_cloud",
+    "centred_cloud",
     "check_shape",
+    "single_voxels",
 ]

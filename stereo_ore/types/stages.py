@@ -132,17 +132,21 @@ class VoxelCloud:
         return len(self.xyz)
 
 
-def bare_cloud(xyz: F64) -> VoxelCloud:
-    """Return a cloud that no camera of ours made, (N, 3) [m], with each point a voxel of its own.
+def single_voxels(points: F32) -> VoxelCloud:
+    """Return a cloud that no camera of ours made, (N, 3) [m], with each point a voxel of its own."""
+    zero, rows = np.zeros(len(points), np.float32), np.arange(len(points), dtype=np.int32)
+    return VoxelCloud(points, np.ones(len(points), np.int32), rows, 0.0, zero, zero)
 
-    It lies about its own middle, so that float32 loses nothing to a far origin.
+
+def centred_cloud(xyz: F64) -> VoxelCloud:
+    """Return `single_voxels` of points (N, 3) [m] of any origin.
+
+    The cloud lies about its own middle, so that float32 loses nothing to a far origin.
     """
     finite = np.isfinite(xyz).all(1)
     middle = np.median(xyz[finite], axis=0) if finite.any() else np.zeros(3)
     with np.errstate(over="ignore"):
-        points = (xyz - middle).astype(np.float32)
-    zero, rows = np.zeros(len(points), np.float32), np.arange(len(points), dtype=np.int32)
-    return VoxelCloud(points, np.ones(len(points), np.int32), rows, 0.0, zero, zero)
+        return single_voxels((xyz - middle).astype(np.float32))
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from stereo_ore.io import clouds, recordings
 from stereo_ore.lab import evaluate, metrics, synth
 from stereo_ore.lab.bench.scene_files import load_rig
 from stereo_ore.lab.synth.paper_cloud import NOISE_SHARES, Direction
-from stereo_ore.types import F64, I32, Mask, Site, StereoCalibration, StereoPair, VoxelCloud
+from stereo_ore.types import F64, I32, Mask, Site, StereoCalibration, StereoPair, VoxelCloud, single_voxels
 
 DIRECTIONS: tuple[Direction, ...] = ("isotropic", "normal", "ray")
 TUNING_SEED = 100
@@ -40,10 +40,7 @@ class LabelledCloud:
 
 def bare_cloud(xyz: npt.ArrayLike) -> VoxelCloud:
     """A cloud that no camera made, in voxels of one point each, from (M, 3) coordinates [m]."""
-    points = np.asarray(xyz, np.float32)
-    zero = np.zeros(len(points), np.float32)
-    ones, rows = np.ones(len(points), np.int32), np.arange(len(points), dtype=np.int32)
-    return VoxelCloud(points, ones, rows, 0.0, zero, zero)
+    return single_voxels(np.asarray(xyz, np.float32))
 
 
 def paper_clouds(seeds: range) -> Iterator[LabelledCloud]:
