@@ -13,6 +13,7 @@ from rigs import SIZE, example_rig, same, write_opencv, write_ros
 
 from stereo_ore.errors import CalibrationError
 from stereo_ore.io.calibration import load, save
+from stereo_ore.io.calibration.formats import tell_unread
 from stereo_ore.io.calibration.geometry import rotation_vector
 from stereo_ore.stages.rectify import make_rectifier
 from stereo_ore.types import StereoCalibration
@@ -346,3 +347,8 @@ def test_a_file_of_blank_lines_takes_no_longer_than_it_is_long(tmp_path: Path) -
     with pytest.raises(CalibrationError):
         load(tmp_path / "blank.yml")
     assert time.process_time() - start < 20
+
+
+def test_an_entry_whose_name_is_a_number_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    tell_unread(tmp_path / "camchain.yaml", {0: 3, "note": 0})
+    assert "entries not understood: 0" in caplog.text

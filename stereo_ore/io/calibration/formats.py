@@ -223,7 +223,8 @@ def tell_unread(path: Path, entries: Mapping[str, Any], what: str = "") -> None:
     CalibrationError
         A lens that is dropped makes a distorted eye an ideal one.
     """
-    unread = [key for key, value in entries.items() if _counts(value)]
+    # A key of YAML may be a number.
+    unread = [str(key) for key, value in entries.items() if _counts(value)]
     lens = [key for key in unread if _LENS_WORDS.search(key.lower()) and not _NO_MODEL.search(key.lower())]
     if lens:
         problem = f"{what}{', '.join(lens)}: looks like part of a lens model and is not known here"
