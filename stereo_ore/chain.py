@@ -1,4 +1,6 @@
-"""The chain: one recorded pair in, one `FrameResult` out; this file alone knows the order of the stages."""
+"""The chain: one recorded pair in, one `FrameResult` out; this file alone knows the order of the
+stages.
+"""
 
 from __future__ import annotations
 
@@ -70,7 +72,9 @@ class Chain:
         When calibration, site and parameters contradict each other.
     """
 
-    def __init__(self, calibration: StereoCalibration, site: Site | None = None, config: Config | None = None) -> None:
+    def __init__(
+        self, calibration: StereoCalibration, site: Site | None = None, config: Config | None = None
+    ) -> None:
         self.calibration, self.site, self.config = calibration, site or Site(), config or Config()
         self.rectifier = rectify.make_rectifier(calibration)
         self.rig = self.rectifier.rig
@@ -113,7 +117,9 @@ class Chain:
         ore_map = trace.reached("segment", self._segment(disparity, surface, screen))
         solids = trace.reached("solids", solid.solids(surface, ore_map, screen, config.solid))
         plans = strike.plans(surface, ore_map, solids, screen, site, config.strike)
-        plans = trace.reached("strikes", health.without_doubtful(plans, solids, ore_map, disparity, screen, parts))
+        plans = trace.reached(
+            "strikes", health.without_doubtful(plans, solids, ore_map, disparity, screen, parts)
+        )
         targets = order.order(solids, plans, site, config.order)
         found = ores.describe(surface, ore_map, solids, plans, site)
         trace.reached("ores", (found, targets))
@@ -128,7 +134,9 @@ class Chain:
         return disparity
 
     def _register(self, disparity: Disparity) -> tuple[Disparity, Registration | None]:
-        """The disparity with the bars where they are known to be, and how far from there they were measured."""
+        """The disparity with the bars where they are known to be, and how far from there they were
+        measured.
+        """
         plane = self.site.plane if self.empty is None else self.empty.grizzly.plane
         if plane is None:
             return disparity, None
@@ -165,7 +173,9 @@ class Chain:
 
 
 class Trace:
-    """The way of one frame through the chain: what was reached, when, and what speaks against it."""
+    """The way of one frame through the chain: what was reached, when, and what speaks against
+    it.
+    """
 
     def __init__(self) -> None:
         self._reached: dict[str, Any] = {}
@@ -193,7 +203,9 @@ class Trace:
             self._fault = fault
 
     def result(self, pair: StereoPair) -> FrameResult:
-        """Wait for the self-checks, and judge: what was found, or why there is nothing to act on."""
+        """Wait for the self-checks, and judge: what was found, or why there is nothing to act
+        on.
+        """
         reasons = [reason for check in self._checks for reason in check.result()]
         self._lap("health")
         found, targets = self._reached.get("ores", ((), ()))

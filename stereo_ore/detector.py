@@ -231,7 +231,9 @@ def run(
     """
     opened = recording if isinstance(recording, Recording) else open_recording(recording)
     folder = Path(out)
-    run_frames(opened.source, detector.chain, folder, RunOptions(**options), detector.inputs, progress)
+    run_frames(
+        opened.source, detector.chain, folder, RunOptions(**options), detector.inputs, progress
+    )
     return Results(folder)
 
 

@@ -22,7 +22,12 @@ class StereoOreError(Exception):
     """
 
     def __init__(
-        self, problem: str, *, file: str | Path | None = None, key: str | None = None, remedy: str | None = None
+        self,
+        problem: str,
+        *,
+        file: str | Path | None = None,
+        key: str | None = None,
+        remedy: str | None = None,
     ) -> None:
         self.problem, self.file, self.key, self.remedy = problem, file, key, remedy
         where = ": ".join(_shown(str(part), "") for part in (file, key) if part)
@@ -32,7 +37,9 @@ class StereoOreError(Exception):
         super().__init__(f"{text}{stop} {remedy}" if remedy else text)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Errors come from worker processes: by default pickle would call `__init__` without the keywords."""
+        """Errors come from worker processes: by default pickle would call `__init__` without the
+        keywords.
+        """
         return _rebuilt, (type(self), *self.args), self.__dict__
 
 
@@ -41,10 +48,14 @@ def _rebuilt(kind: type[StereoOreError], *args: str) -> StereoOreError:
 
 
 def _shown(text: str, allowed: str) -> str:
-    """Text for a line on a terminal: control characters and bytes that are no UTF-8 are written as escapes."""
+    """Text for a line on a terminal: control characters and bytes that are no UTF-8 are written as
+    escapes.
+    """
     if text.isprintable():
         return text
-    return "".join(c if c.isprintable() or c in allowed else c.encode("unicode_escape").decode() for c in text)
+    return "".join(
+        c if c.isprintable() or c in allowed else c.encode("unicode_escape").decode() for c in text
+    )
 
 
 class ConfigError(StereoOreError):
@@ -95,5 +106,6 @@ class MissingExtraError(StereoOreError):
 
     def __init__(self, package: str, extra: str) -> None:
         super().__init__(
-            f"the optional package {package} is not installed", remedy=f'pip install "stereo-ore[{extra}]"'
+            f"the optional package {package} is not installed",
+            remedy=f'pip install "stereo-ore[{extra}]"',
         )

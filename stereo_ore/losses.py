@@ -21,7 +21,9 @@ class Loss:
 
 
 def losses(result: FrameResult) -> tuple[Loss, ...]:
-    """List what each stage that was reached has dropped, in the order of the chain; never a zero."""
+    """List what each stage that was reached has dropped, in the order of the chain; never a
+    zero.
+    """
     found = (*_matching(result), *_cloud(result), *_filter(result), *_segment(result))
     return tuple(loss for loss in found if loss.count > 0)
 
@@ -30,10 +32,19 @@ def _matching(result: FrameResult) -> Iterator[Loss]:
     if result.disparity is None:
         return
     told, pixels = result.disparity.diagnostics, result.counts["pixels"]
-    searched, matched = told.get("pixels", pixels), told.get("matched", result.counts["disparities"])
+    searched, matched = (
+        told.get("pixels", pixels),
+        told.get("matched", result.counts["disparities"]),
+    )
     detail = "outside the part of the image that can show the working volume"
     yield Loss("match", "NOT_SEARCHED", pixels - searched, "px", detail)
-    yield Loss("match", "NOT_MATCHED", searched - matched, "px", "no disparity: too flat, too dark or out of range")
+    yield Loss(
+        "match",
+        "NOT_MATCHED",
+        searched - matched,
+        "px",
+        "no disparity: too flat, too dark or out of range",
+    )
     detail = "left-right and right-left disparity differ, or too few neighbours agree"
     yield Loss("match", "INCONSISTENT", matched - result.counts["disparities"], "px", detail)
     detail = "of the frames measured together, moved against the others"
@@ -43,7 +54,13 @@ def _matching(result: FrameResult) -> Iterator[Loss]:
 def _cloud(result: FrameResult) -> Iterator[Loss]:
     if result.cloud is not None:
         lost = result.counts["disparities"] - result.counts["points"]
-        yield Loss("cloud", "OUTSIDE_VOLUME", lost, "px", "outside the working volume or beyond cloud.max_depth_m")
+        yield Loss(
+            "cloud",
+            "OUTSIDE_VOLUME",
+            lost,
+            "px",
+            "outside the working volume or beyond cloud.max_depth_m",
+        )
 
 
 def _filter(result: FrameResult) -> Iterator[Loss]:

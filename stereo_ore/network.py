@@ -12,8 +12,8 @@ from stereo_ore.threads import chunks, map_rows
 from stereo_ore.types import F32
 
 SMALL = 2**18
-"""Multiplications of a matrix product: few enough that the linear algebra library doesn't start threads of its own,
-which cost far more."""
+"""Multiplications of a matrix product: few enough that the linear algebra library doesn't start
+threads of its own, which cost far more."""
 
 
 WIDE = 512
@@ -22,7 +22,9 @@ WIDE = 512
 
 @dataclass(frozen=True)
 class Network:
-    """One hidden layer of rectified units: p = 1 / (1 + exp(−(w₂·max(0, W₁ᵀ(f − mean)/scale + b₁) + b₂)))."""
+    """One hidden layer of rectified units: p = 1 / (1 + exp(−(w₂·max(0, W₁ᵀ(f − mean)/scale + b₁) +
+    b₂))).
+    """
 
     mean: list[float]
     scale: list[float]
@@ -40,12 +42,16 @@ class Network:
         weights, bias, out = self._arrays
         rows = max(SMALL // weights.size, 1)
         hidden = np.concatenate([features[few] @ weights for few in chunks(len(features), rows)])
-        logit = np.einsum("ij,j->i", np.maximum(hidden + bias, 0), out) + np.float32(self.output_bias)
+        logit = np.einsum("ij,j->i", np.maximum(hidden + bias, 0), out) + np.float32(
+            self.output_bias
+        )
         return np.asarray(1 / (1 + np.exp(-np.clip(logit, -30, 30))), np.float32)
 
     def map(self, images: Sequence[F32]) -> F32:
         """Probability (h, w) of each pixel of F images (h, w), one feature each."""
-        weights = (np.array(self.hidden_weights, np.float32) / np.array(self.scale, np.float32)[:, None]).T
+        weights = (
+            np.array(self.hidden_weights, np.float32) / np.array(self.scale, np.float32)[:, None]
+        ).T
         bias = np.array(self.hidden_bias, np.float32) - weights @ np.array(self.mean, np.float32)
         out, last = np.array(self.output_weights, np.float32), np.float32(self.output_bias)
         features = np.stack([np.ravel(image) for image in images])
@@ -55,10 +61,14 @@ class Network:
             hidden += bias[:, None]
             np.dot(out, np.maximum(hidden, 0, out=hidden), out=logit[few])
         logit += last
-        return np.asarray(1 / (1 + np.exp(-np.clip(logit, -30, 30))), np.float32).reshape(images[0].shape)
+        return np.asarray(1 / (1 + np.exp(-np.clip(logit, -30, 30))), np.float32).reshape(
+            images[0].shape
+        )
 
     def given(self, values: F32) -> Network:
-        """The network whose last features are known to be `values`: their share goes into the bias."""
+        """The network whose last features are known to be `values`: their share goes into the
+        bias.
+        """
         own = len(self.mean) - len(values)
         share = (
             (values - np.array(self.mean[own:]))
@@ -79,16 +89,24 @@ class Network:
         """Weights (F, H) and bias (H,) of features as they come, and weights (H,) of the units."""
         weights = np.array(self.hidden_weights) / np.array(self.scale)[:, None]
         bias = np.array(self.hidden_bias) - np.array(self.mean) @ weights
-        return weights.astype(np.float32), bias.astype(np.float32), np.array(self.output_weights, np.float32)
+        return (
+            weights.astype(np.float32),
+            bias.astype(np.float32),
+            np.array(self.output_weights, np.float32),
+        )
 
 
 def average(networks: Sequence[Network]) -> Network:
-    """One network with the units of all, whose log odds are the mean of theirs; they share mean and scale."""
+    """One network with the units of all, whose log odds are the mean of theirs; they share mean and
+    scale.
+    """
     weights = np.concatenate([network.hidden_weights for network in networks], axis=1)
     return replace(
         networks[0],
         hidden_weights=weights.tolist(),
         hidden_bias=[bias for network in networks for bias in network.hidden_bias],
-        output_weights=[weight / len(networks) for network in networks for weight in network.output_weights],
+        output_weights=[
+            weight / len(networks) for network in networks for weight in network.output_weights
+        ],
         output_bias=sum(network.output_bias for network in networks) / len(networks),
     )

@@ -1,4 +1,6 @@
-"""The record of a frame: `FrameResult` → the JSON object that other programs read (schema/frame-2.json)."""
+"""The record of a frame: `FrameResult` → the JSON object that other programs read
+(schema/frame-2.json).
+"""
 
 from __future__ import annotations
 
@@ -14,13 +16,16 @@ from stereo_ore.types import FrameResult, Grizzly, Ore, Reason, Registration, Si
 
 SCHEMA = "stereo_ore/frame/2"
 DECIMALS = 6
-"""Metres are written to the micrometre: finer digits are noise, and would differ between machines."""
+"""Metres are written to the micrometre: finer digits are noise, and would differ between
+machines."""
 
 Json = dict[str, Any]
 
 
 def record(result: FrameResult, site: Site) -> Json:
-    """The record of one frame; lengths in metres, camera frame and, where the site gives it, arm frame."""
+    """The record of one frame; lengths in metres, camera frame and, where the site gives it, arm
+    frame.
+    """
     return {
         "schema": SCHEMA,
         "frame": result.name,
@@ -74,7 +79,9 @@ def _grizzly(grizzly: Grizzly | None) -> Json | None:
 
 
 def _registration(moved: Registration | None) -> Json | None:
-    """How far from their place the bars were measured, and what was taken off the disparity; null where unknown."""
+    """How far from their place the bars were measured, and what was taken off the disparity; null
+    where unknown.
+    """
     if moved is None:
         return None
     return {
@@ -121,7 +128,10 @@ def _solid(solid: Solid | None) -> Json:
         "volume_m3": number(solid.volume_m3),
         "volume_bounds_m3": numbers(solid.volume_bounds_m3),
         "size_m": numbers(solid.size_m),
-        "box": {"camera": {"centre": numbers(solid.box_centre), "axes": axes}, "extent_m": numbers(solid.extent_m)},
+        "box": {
+            "camera": {"centre": numbers(solid.box_centre), "axes": axes},
+            "extent_m": numbers(solid.extent_m),
+        },
         "oversize": solid.oversize,
     }
 

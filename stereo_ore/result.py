@@ -71,7 +71,9 @@ class Result:
         return record(self.frame, self.site)
 
     def to_numpy(self) -> npt.NDArray[np.void]:
-        """Return the filtered cloud: x y z [m, camera], red green blue, ore_id (0 = none), score."""
+        """Return the filtered cloud: x y z [m, camera], red green blue, ore_id (0 = none),
+        score.
+        """
         return cloud_table(self.frame)
 
     def to_open3d(self) -> PointCloud:

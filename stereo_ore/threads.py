@@ -1,4 +1,6 @@
-"""Threads that stages share work among: as many as OpenCV is given, and kept for the life of the process."""
+"""Threads that stages share work among: as many as OpenCV is given, and kept for the life of the
+process.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 CHUNK = 4096
-"""Rows worked on at a time: bounds the memory of temporaries, and keeps them in the processor's cache."""
+"""Rows worked on at a time: bounds the memory of temporaries, and keeps them in the processor's
+cache."""
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 Result = TypeVar("Result")
@@ -21,7 +24,8 @@ Result = TypeVar("Result")
 def pool() -> ThreadPoolExecutor:
     """The threads to share work among; a task must not wait for another one.
 
-    They are kept because OpenCV keeps some memory for every new thread that calls it, which a long run would feel.
+    They are kept because OpenCV keeps some memory for every new thread that calls it, which a long
+    run would feel.
     """
     return _pool(max(cv2.getNumThreads(), 1))
 
@@ -32,14 +36,16 @@ def _pool(threads: int) -> ThreadPoolExecutor:
 
 
 def map_rows(function: Callable[[slice], npt.NDArray[Scalar]], length: int) -> npt.NDArray[Scalar]:
-    """What `function` gives for consecutive chunks of rows, one after the other, computed by all threads.
+    """What `function` gives for consecutive chunks of rows, one after the other, computed by all
+    threads.
 
-    A chunk's result doesn't depend on the others, so the number of threads changes nothing. Columns of the result lie
-    in memory at a stretch.
+    A chunk's result doesn't depend on the others, so the number of threads changes nothing. Columns
+    of the result lie in memory at a stretch.
     """
     start, *others = chunks(length)
     first = function(start)
-    # Results go to their place at once: a list of them and their concatenation would take the memory of two.
+    # Results go to their place at once: a list of them and their concatenation would take the
+    # memory of two.
     out = np.empty((*first.shape[:0:-1], length), first.dtype).T
     out[start] = first
 

@@ -1,4 +1,5 @@
-"""Ellipsoids on a screen seen by a camera: surface, labels and truth in closed form, without a ray caster."""
+"""Ellipsoids on a screen seen by a camera: surface, labels and truth in closed form, without a ray
+caster."""
 
 from dataclasses import dataclass
 
@@ -17,7 +18,8 @@ class Ellipsoid:
 
 @dataclass(frozen=True)
 class View:
-    """What a camera `distance_m` from the screen's origin sees, looking down `pitch_deg` below the screen's plane."""
+    """What a camera `distance_m` from the screen's origin sees, looking down `pitch_deg` below the
+    screen's plane."""
 
     surface: Surface
     ore_map: OreMap
@@ -29,7 +31,11 @@ class View:
 
 
 def look_down(
-    lumps: list[Ellipsoid], pitch_deg: float = 70.0, distance_m: float = 1.0, scale: float = 1.0, bars: bool = False
+    lumps: list[Ellipsoid],
+    pitch_deg: float = 70.0,
+    distance_m: float = 1.0,
+    scale: float = 1.0,
+    bars: bool = False,
 ) -> View:
     """A 640×480 view with f = 500 px; `scale` multiplies every length."""
     rig = Rig(640, 480, 500.0, 500.0, 320.0, 240.0, 0.12 * scale)
@@ -41,13 +47,18 @@ def look_down(
     for number, lump in enumerate(lumps, 1):
         hit = _enter(ray, eye, scale * np.array(lump.radii), scale * np.array(lump.centre))
         nearer = np.isfinite(hit) & (hit < depth)
-        depth, labels = np.where(nearer, hit, depth), np.where(nearer, number, labels).astype(np.int16)
+        depth, labels = (
+            np.where(nearer, hit, depth),
+            np.where(nearer, number, labels).astype(np.int16),
+        )
     xyz = (rays * depth[..., None]).astype(np.float32)
     sigma_z = rig.depth_sigma(depth, 0.15).astype(np.float32)
     surface = Surface(xyz, np.zeros((480, 640, 3), np.uint8), sigma_z, 0, 0, rig)
     plane = Plane(T[:3, 2], float(T[:3, 2] @ T[:3, 3]))
     known = Bars(T[:3, 1], T[:3, 0], 0.17 * scale, 0.0, 0.04 * scale) if bars else None
-    return View(surface, OreMap(labels), Grizzly(plane, "site", bars=known, opening_m=0.13 * scale), T)
+    return View(
+        surface, OreMap(labels), Grizzly(plane, "site", bars=known, opening_m=0.13 * scale), T
+    )
 
 
 def _pose(pitch: float, distance: float) -> F64:
@@ -60,7 +71,8 @@ def _pose(pitch: float, distance: float) -> F64:
 
 
 def _enter(ray: F64, eye: F64, radii: F64, centre: F64) -> F64:
-    """Ray parameter, which is depth, at which rays (..., 3) from `eye` enter an ellipsoid; NaN where they miss."""
+    """Ray parameter, which is depth, at which rays (..., 3) from `eye` enter an ellipsoid; NaN
+    where they miss."""
     d, o = ray / radii, (eye - centre) / radii
     a, b, c = (d * d).sum(-1), (d * o).sum(-1), (o * o).sum() - 1.0
     discriminant = b * b - a * c

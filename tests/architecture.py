@@ -63,14 +63,27 @@ def circles(graph: Imports) -> list[list[str]]:
 
 
 def wing(module: str) -> str:
-    """First name below the package; "face" for the package itself and the modules that a user imports."""
+    """First name below the package; "face" for the package itself and the modules that a user
+    imports."""
     parts = module.split(".")
     return FACE if len(parts) == 1 or parts[1] in ("detector", "result", "__main__") else parts[1]
 
 
 FACE = "face"
 CORE = frozenset(
-    ("chain", "losses", "types", "config", "errors", "transforms", "planes", "threads", "network", "stages", "version")
+    (
+        "chain",
+        "losses",
+        "types",
+        "config",
+        "errors",
+        "transforms",
+        "planes",
+        "threads",
+        "network",
+        "stages",
+        "version",
+    )
 )
 MAY_IMPORT: Mapping[str, frozenset[str]] = {
     **dict.fromkeys(CORE, CORE),
@@ -99,6 +112,10 @@ def breaches(graph: Imports) -> list[str]:
             theirs = wing(other)
             if theirs not in MAY_IMPORT[mine] | {mine}:
                 found.append(f"{module} imports {other}")
-            elif mine == "cli" and theirs == "lab" and not any(module.startswith(v) for v in LAB_VERBS):
+            elif (
+                mine == "cli"
+                and theirs == "lab"
+                and not any(module.startswith(v) for v in LAB_VERBS)
+            ):
                 found.append(f"{module}, which is no verb of the laboratory, imports {other}")
     return found

@@ -1,4 +1,5 @@
-"""Writers of small bags for tests: the same pictures as a ROS 1 bag, a ROS 2 sqlite3 bag, and MCAP."""
+"""Writers of small bags for tests: the same pictures as a ROS 1 bag, a ROS 2 sqlite3 bag, and
+MCAP."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -7,7 +8,12 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-ENCODINGS = {"bgr8": None, "rgb8": cv2.COLOR_BGR2RGB, "mono8": cv2.COLOR_BGR2GRAY, "bgra8": cv2.COLOR_BGR2BGRA}
+ENCODINGS = {
+    "bgr8": None,
+    "rgb8": cv2.COLOR_BGR2RGB,
+    "mono8": cv2.COLOR_BGR2GRAY,
+    "bgra8": cv2.COLOR_BGR2BGRA,
+}
 TOPICS = ("/zed/left/image_rect_color", "/zed/right/image_rect_color")
 KINDS = ("ros1", "sqlite3", "mcap")
 
@@ -32,7 +38,11 @@ class Camera(NamedTuple):
 
 
 def write_bag(
-    path: Path, kind: str, shots: Iterable[Shot], cameras: Iterable[Camera] = (), encoding: str = "bgr8"
+    path: Path,
+    kind: str,
+    shots: Iterable[Shot],
+    cameras: Iterable[Camera] = (),
+    encoding: str = "bgr8",
 ) -> Path:
     """Write a bag below `path`; the path to open."""
     from rosbags.rosbag1 import Writer as Writer1
@@ -54,7 +64,11 @@ def write_bag(
             bag.write(connections[topic], logged_ns, serialise(message, message.__msgtype__))
 
         for camera in cameras:
-            write(camera.image_topic.rpartition("/")[0] + "/camera_info", 0, camera_info(store, camera, first))
+            write(
+                camera.image_topic.rpartition("/")[0] + "/camera_info",
+                0,
+                camera_info(store, camera, first),
+            )
         for shot in shots:
             write(shot.topic, shot.logged_ns, image_message(store, shot, encoding, first))
     return path
@@ -71,7 +85,9 @@ def image_message(store: Any, shot: Shot, encoding: str, first: bool) -> Any:
     head = header(store, shot.stamp_ns, first)
     if encoding in ("png", "jpeg"):
         data = cv2.imencode(f".{encoding}", shot.image)[1].ravel()
-        return store.types["sensor_msgs/msg/CompressedImage"](header=head, format=f"bgr8; {encoding}", data=data)
+        return store.types["sensor_msgs/msg/CompressedImage"](
+            header=head, format=f"bgr8; {encoding}", data=data
+        )
     conversion = ENCODINGS[encoding]
     pixels = shot.image if conversion is None else cv2.cvtColor(shot.image, conversion)
     rows = pixels.reshape(len(pixels), -1)

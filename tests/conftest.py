@@ -1,11 +1,16 @@
 """Fixtures with known truth that any test file may use.
 
-shared_data      Path of other people's recordings beside the repository; the test is skipped where they are absent.
-score_tool       the module that scores runs from outside, ../shared/tools/score.py; skipped where it is absent.
-synth_scene      a small scene (VGA, paper scale, four lumps) with exact depth, instances and solids: `synth.Scene`.
-synth_folder     the same scene written as a folder: left.png, right.png, calibration.yaml, site.yaml, truth files.
+shared_data      Path of other people's recordings beside the repository; the test is skipped
+                 where they are absent.
+score_tool       the module that scores runs from outside, ../shared/tools/score.py; skipped where
+                 it is absent.
+synth_scene      a small scene (VGA, paper scale, four lumps) with exact depth, instances and
+                 solids: `synth.Scene`.
+synth_folder     the same scene written as a folder: left.png, right.png, calibration.yaml,
+                 site.yaml, truth files.
 empty_scene      the same screen without ore.
-flat_plane_pair  a textured tilted plane as a rectified pair with exact disparity; free of any ray caster.
+flat_plane_pair  a textured tilted plane as a rectified pair with exact disparity; free of any ray
+                 caster.
 """
 
 import importlib.util
@@ -22,7 +27,8 @@ import pytest
 from stereo_ore.lab import synth
 from stereo_ore.types import F32, F64, RectifiedPair, Rig
 
-# Tests run the command that is installed beside this Python, also when its environment is not activated.
+# Tests run the command that is installed beside this Python, also when its environment is not
+# activated.
 os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -72,7 +78,8 @@ def empty_scene() -> synth.Scene:
 
 @dataclass(frozen=True)
 class PlanePair:
-    """A pair that shows the plane normal·X = offset [m], with its disparity (H, W) [px] and depth (H, W) [m]."""
+    """A pair that shows the plane normal·X = offset [m], with its disparity (H, W) [px] and depth
+    (H, W) [m]."""
 
     pair: RectifiedPair
     disparity: F32
@@ -94,6 +101,12 @@ def flat_plane_pair() -> PlanePair:
     texture = sum(2.0**k * cv2.GaussianBlur(noise, (0, 0), 1.2 * 2.0**k) for k in range(4))
     right = np.clip(128 + 40 * texture / texture.std(), 0, 255).astype(np.uint8)
     left = cv2.remap(
-        right, (u - disparity).astype(np.float32), v.astype(np.float32), cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT
+        right,
+        (u - disparity).astype(np.float32),
+        v.astype(np.float32),
+        cv2.INTER_CUBIC,
+        borderMode=cv2.BORDER_REFLECT,
     )
-    return PlanePair(RectifiedPair(left, right, rig), disparity.astype(np.float32), depth, normal, offset)
+    return PlanePair(
+        RectifiedPair(left, right, rig), disparity.astype(np.float32), depth, normal, offset
+    )

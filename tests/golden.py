@@ -1,9 +1,11 @@
-"""Hashes of everything that a run writes, so that a change of shape can prove that it changed no result.
+"""Hashes of everything that a run writes, so that a change of shape can prove that it changed no
+result.
 
-``python tests/golden.py`` writes golden.json anew, for the versions that it runs with; the commit that does so says
-which results changed, and why. Bytes depend on OpenCV's and NumPy's own kernels, so hashes are kept for one
-combination of them and are not judged on another.
-"""
+``python tests/golden.py`` writes golden.json anew, for the versions that it runs with; the commit
+that does so says which results changed, and why. Bytes depend on OpenCV's and NumPy's own kernels,
+so hashes are kept for one combination of them and are not judged on another. Scenes are rendered by
+a ray caster that rounds otherwise on other processors: where the pictures have other hashes, what
+follows from them is not judged."""
 
 import contextlib
 import hashlib
@@ -44,16 +46,24 @@ Hashes = dict[str, str]
 
 def environment() -> str:
     """What bytes may depend on beside the program."""
-    wide = sorted({"AVX2", "AVX512F", "NEON"} & set(cv2.getCPUFeaturesLine().replace("*", "").split()))
+    wide = sorted(
+        {"AVX2", "AVX512F", "NEON"} & set(cv2.getCPUFeaturesLine().replace("*", "").split())
+    )
     packages = {name: version(name) for name in ("numpy", "scipy")}
     return " ".join(
-        [platform.machine(), *wide, f"opencv {cv2.__version__}", *(f"{k} {v}" for k, v in packages.items())]
+        [
+            platform.machine(),
+            *wide,
+            f"opencv {cv2.__version__}",
+            *(f"{k} {v}" for k, v in packages.items()),
+        ]
     )
 
 
 @cache
 def scene(name: str, parent: Path) -> Path:
-    """Folder of a scene: left.png, right.png, calibration.yaml and, where it is given, site.yaml."""
+    """Folder of a scene: left.png, right.png, calibration.yaml and, where it is given,
+    site.yaml."""
     if name in RECORDED:
         return ROOT / "data" / name
     family, seed, lumps, with_site = SYNTHETIC[name]
@@ -67,19 +77,50 @@ def scene(name: str, parent: Path) -> Path:
 def run(source: Path, folder: Path, out: Path, *options: str) -> Hashes:
     """What the command writes for `source`, with calibration and site of the scene in `folder`."""
     site = folder / "site.yaml"
-    arguments = ["-q", "run", source.name, "--calib", str(folder / "calibration.yaml"), "--out", str(out)]
+    arguments = [
+        "-q",
+        "run",
+        source.name,
+        "--calib",
+        str(folder / "calibration.yaml"),
+        "--out",
+        str(out),
+    ]
     # Times of files are not those of another checkout.
     arguments += ["--start-time", "2026-01-01T00:00:00Z", "--fps", "1"]
-    arguments += ["--save-stages", "--no-report", *(("--site", str(site)) if site.is_file() else ()), *options]
-    with contextlib.chdir(source.parent), contextlib.suppress(SystemExit), contextlib.redirect_stdout(None):
+    arguments += [
+        "--save-stages",
+        "--no-report",
+        *(("--site", str(site)) if site.is_file() else ()),
+        *options,
+    ]
+    with (
+        contextlib.chdir(source.parent),
+        contextlib.suppress(SystemExit),
+        contextlib.redirect_stdout(None),
+    ):
         launch(arguments)
     return hashes(out)
 
 
+def pictures(folder: Path) -> Hashes:
+    """Hash of each eye's picture of a scene."""
+    return {
+        eye: hashlib.sha256(content(folder / f"{eye}.png")).hexdigest()[:16]
+        for eye in ("left", "right")
+    }
+
+
 def hashes(out: Path) -> Hashes:
-    """Hash of each result file; of pictures and archives that of their arrays, since packing them is not ours."""
-    files = [out / name for name in LINES] + sorted(file for name in FOLDERS for file in (out / name).glob("*"))
-    return {file.relative_to(out).as_posix(): hashlib.sha256(content(file)).hexdigest()[:16] for file in files}
+    """Hash of each result file; of pictures and archives that of their arrays, since packing them
+    is not ours."""
+    files = [out / name for name in LINES] + sorted(
+        file for name in FOLDERS for file in (out / name).glob("*")
+    )
+    return {
+        file.relative_to(out).as_posix(): hashlib.sha256(content(file)).hexdigest()[:16]
+        for file in files
+    }
 
 
 def content(file: Path) -> bytes:
@@ -97,7 +138,9 @@ def recording(scene_folder: Path, folder: Path) -> Path:
     for index, gain in enumerate((1.0, 0.9, 0.8, 0.7)):
         for eye in ("left", "right"):
             image = cv2.imread(str(scene_folder / f"{eye}.png"))
-            cv2.imwrite(str(folder / f"{eye}{index:06d}.png"), np.rint(image * gain).astype(np.uint8))
+            cv2.imwrite(
+                str(folder / f"{eye}{index:06d}.png"), np.rint(image * gain).astype(np.uint8)
+            )
     (folder / "right000002.png").unlink()
     return folder
 
@@ -115,14 +158,21 @@ def threads(count: int) -> Iterator[None]:
 def main() -> None:
     with tempfile.TemporaryDirectory() as temporary, threads(1):
         parent = Path(temporary)
-        found = {}
+        found, seen = {}, {}
         for name in SCENES:
             folder = scene(name, parent)
+            seen[name] = pictures(folder)
             found[name] = run(folder, folder, parent / "out" / name)
         folder = scene("paper", parent)
-        found["recording"] = run(recording(folder, parent / "recording"), folder, parent / "out" / "recording")
+        found["recording"] = run(
+            recording(folder, parent / "recording"), folder, parent / "out" / "recording"
+        )
         shutil.rmtree(parent / "out")
-    FILE.write_text(json.dumps({"environment": environment(), "hashes": found}, indent=1) + "\n", encoding="utf-8")
+    FILE.write_text(
+        json.dumps({"environment": environment(), "pictures": seen, "hashes": found}, indent=1)
+        + "\n",
+        encoding="utf-8",
+    )
     sys.stdout.write(f"{FILE}: {sum(map(len, found.values()))} hashes, {environment()}\n")
 
 

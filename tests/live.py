@@ -1,7 +1,8 @@
-"""What the tests of live operation share: records, messages, ports, waiting, and a server in a process of its own.
+"""What the tests of live operation share: records, messages, ports, waiting, and a server in a
+process of its own.
 
-Run as a program it serves a folder with a stub in place of the chain: ``python live.py WATCH OUT [--opcua PORT]``.
-"""
+Run as a program it serves a folder with a stub in place of the chain: ``python live.py WATCH OUT
+[--opcua PORT]``."""
 
 import argparse
 import json
@@ -40,7 +41,10 @@ def make_ore(id: int, index: int = 0) -> dict[str, Any]:
         "volume_m3": 0.02,
         "volume_bounds_m3": [0.01, 0.03],
         "size_m": size,
-        "box": {"camera": {"centre": [0, 0, 2], "axes": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}, "extent_m": size},
+        "box": {
+            "camera": {"centre": [0, 0, 2], "axes": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]},
+            "extent_m": size,
+        },
         "oversize": True,
         "strike": {
             "point": point,
@@ -54,7 +58,9 @@ def make_ore(id: int, index: int = 0) -> dict[str, Any]:
     }
 
 
-def make_record(index: int = 0, ores: int = 2, status: str = "ok", arm: bool = True, **changes: Any) -> dict[str, Any]:
+def make_record(
+    index: int = 0, ores: int = 2, status: str = "ok", arm: bool = True, **changes: Any
+) -> dict[str, Any]:
     """A record of a frame with its targets."""
     targets = list(range(1, ores + 1)) if status == "ok" else []
     counts = dict.fromkeys(("pixels", "disparities", "points", "voxels", "kept"), 1000)
@@ -78,7 +84,9 @@ def make_record(index: int = 0, ores: int = 2, status: str = "ok", arm: bool = T
 def make_message(sequence: int = 1, valid_for_s: float = 60.0, **record: Any) -> Message:
     """The message of a fresh record whose index is its sequence number."""
     record = {"index": sequence, **record}
-    return message(make_record(**record), sequence, Origin("test"), age_s=0.0, valid_for_s=valid_for_s)
+    return message(
+        make_record(**record), sequence, Origin("test"), age_s=0.0, valid_for_s=valid_for_s
+    )
 
 
 def free_port() -> int:
@@ -86,7 +94,9 @@ def free_port() -> int:
         return int(server.getsockname()[1])
 
 
-def wait_for(condition: Callable[[], object], timeout_s: float = 20.0, what: str = "condition") -> None:
+def wait_for(
+    condition: Callable[[], object], timeout_s: float = 20.0, what: str = "condition"
+) -> None:
     end = time.monotonic() + timeout_s
     while not condition():
         assert time.monotonic() < end, f"no {what} within {timeout_s} s"
@@ -135,13 +145,23 @@ def lines_of(frame: LiveFrame, **record: Any) -> FrameLines:
 
 
 @contextmanager
-def running(source: Any, out: Path, sinks: list[Any], valid_for_s: float = 5.0, **record: Any) -> Iterator[Any]:
-    """A live run with the stub in a thread; gives its status, publisher and stop event; finished at the end."""
+def running(
+    source: Any, out: Path, sinks: list[Any], valid_for_s: float = 5.0, **record: Any
+) -> Iterator[Any]:
+    """A live run with the stub in a thread; gives its status, publisher and stop event; finished at
+    the end."""
     stop = threading.Event()
     with RunFolder(out, {"source": source.name}, resume=True, overwrite=False) as folder:
         with Publisher(sinks, valid_for_s) as publisher:
             status = Status(source, publisher)
-            arguments = (source, lambda frame: lines_of(frame, **record), folder, publisher, status, stop)
+            arguments = (
+                source,
+                lambda frame: lines_of(frame, **record),
+                folder,
+                publisher,
+                status,
+                stop,
+            )
             thread = threading.Thread(target=serve, args=arguments)
             thread.start()
             try:
@@ -165,7 +185,12 @@ def main() -> None:
         from stereo_ore.plant.sinks.opcua import OpcUaSink
 
         sinks.append(OpcUaSink("127.0.0.1", arguments.opcua))
-    with running(FolderWatch(arguments.watch, poll_s=0.02, patience_s=20), arguments.out, sinks, valid_for_s=2.0):
+    with running(
+        FolderWatch(arguments.watch, poll_s=0.02, patience_s=20),
+        arguments.out,
+        sinks,
+        valid_for_s=2.0,
+    ):
         sys.stdout.write("ready\n")
         sys.stdout.flush()
         done.wait()

@@ -38,14 +38,19 @@ def cameras(coefficients: int = 5) -> st.SearchStrategy[CameraModel]:
 
 @st.composite
 def raw_rigs(draw: st.DrawFn, coefficients: int = 5) -> StereoCalibration:
-    """Rigs of raw images that can be rectified: of odd lenses a rectified camera would see nothing."""
+    """Rigs of raw images that can be rectified: of odd lenses a rectified camera would see
+    nothing."""
     rig = make_calibration(
         "drawn",
         image_size=SIZE,
         left=draw(cameras(coefficients)),
         right=draw(cameras(coefficients)),
         rotation=draw(st.tuples(*[number(-0.05, 0.05)] * 3)),
-        translation_m=(draw(number(-0.5, -0.05)), draw(number(-0.02, 0.02)), draw(number(-0.02, 0.02))),
+        translation_m=(
+            draw(number(-0.5, -0.05)),
+            draw(number(-0.02, 0.02)),
+            draw(number(-0.02, 0.02)),
+        ),
         images="raw",
         disparity_offset_px=draw(number(-20, 20)),
         camera=draw(st.text(st.characters(categories=("L", "N", "P", "Zs")), max_size=20)),
@@ -74,7 +79,12 @@ def example_rig() -> StereoCalibration:
 def rectified_rig() -> StereoCalibration:
     eye = CameraModel((530.0, 530.0), (640.0, 360.0))
     return make_calibration(
-        "example", image_size=SIZE, left=eye, right=eye, translation_m=(-0.12, 0, 0), images="rectified"
+        "example",
+        image_size=SIZE,
+        left=eye,
+        right=eye,
+        translation_m=(-0.12, 0, 0),
+        images="rectified",
     )
 
 
@@ -92,30 +102,53 @@ def rectified_to_raw(calibration: StereoCalibration, xyz: F64) -> tuple[F64, F64
 
 def project(eye: CameraModel, xyz: F64) -> F64:
     distortion = np.array(eye.distortion or (0.0,) * 4)
-    return cv2.projectPoints(xyz[:, None], np.zeros(3), np.zeros(3), eye.K, distortion)[0].reshape(-1, 2)
+    return cv2.projectPoints(xyz[:, None], np.zeros(3), np.zeros(3), eye.K, distortion)[0].reshape(
+        -1, 2
+    )
 
 
 def write_zed(
-    rig: StereoCalibration, path: Path, mode: str = "HD", suffix: bool = True, left_out: tuple[str, ...] = ()
+    rig: StereoCalibration,
+    path: Path,
+    mode: str = "HD",
+    suffix: bool = True,
+    left_out: tuple[str, ...] = (),
 ) -> Path:
     assert rig.image_size == SIZES[mode]
     lines = []
     for name, eye in (("LEFT", rig.left), ("RIGHT", rig.right)):
         values = dict(zip(("k1", "k2", "p1", "p2", "k3"), eye.distortion, strict=True))
-        values |= dict(zip(("fx", "fy", "cx", "cy"), (*eye.focal_px, *eye.principal_point_px), strict=True))
-        lines += [f"[{name}_CAM_{mode}]"] + [f"{key}={value!r}" for key, value in values.items() if key not in left_out]
+        values |= dict(
+            zip(("fx", "fy", "cx", "cy"), (*eye.focal_px, *eye.principal_point_px), strict=True)
+        )
+        lines += [f"[{name}_CAM_{mode}]"] + [
+            f"{key}={value!r}" for key, value in values.items() if key not in left_out
+        ]
     # Not cv2.Rodrigues: from a matrix it is wrong in the tenth digit for turns of 1e-5 rad.
     turn = Rotation.from_matrix(rig.R_right_left).as_rotvec()
     x, y, z = 1000 * rig.t_right_left
     end = f"_{mode}" if suffix else ""
-    lines += ["[STEREO]", f"Baseline={float(-x)!r}", f"TY{end}={float(y)!r}", f"TZ{end}={float(z)!r}"]
-    lines += [f"{key}_{mode}={float(angle)!r}" for key, angle in zip(("RX", "CV", "RZ"), turn, strict=True)]
-    path.write_text("\n".join(line for line in lines if line.partition("=")[0] not in left_out) + "\n")
+    lines += [
+        "[STEREO]",
+        f"Baseline={float(-x)!r}",
+        f"TY{end}={float(y)!r}",
+        f"TZ{end}={float(z)!r}",
+    ]
+    lines += [
+        f"{key}_{mode}={float(angle)!r}"
+        for key, angle in zip(("RX", "CV", "RZ"), turn, strict=True)
+    ]
+    path.write_text(
+        "\n".join(line for line in lines if line.partition("=")[0] not in left_out) + "\n"
+    )
     return path
 
 
 def write_opencv(
-    rig: StereoCalibration, path: Path, names: dict[str, str] | None = None, changes: dict[str, F64] | None = None
+    rig: StereoCalibration,
+    path: Path,
+    names: dict[str, str] | None = None,
+    changes: dict[str, F64] | None = None,
 ) -> Path:
     entries = {
         "M1": rig.left.K,
@@ -145,7 +178,8 @@ def write_ros(rig: StereoCalibration, folder: Path) -> Path:
             "distortion_coefficients": {"rows": 1, "cols": 5, "data": list(eye.distortion)},
         }
         document |= {
-            key: {"rows": 3, "cols": a.shape[1], "data": [float(x) for x in a.ravel()]} for key, a in arrays.items()
+            key: {"rows": 3, "cols": a.shape[1], "data": [float(x) for x in a.ravel()]}
+            for key, a in arrays.items()
         }
         (folder / f"{side}.yaml").write_text(yaml.safe_dump(document))
     return folder / "left.yaml"
@@ -173,7 +207,12 @@ def same(one: StereoCalibration, other: StereoCalibration, tolerance: float = 0.
         np.concatenate(
             [
                 np.ravel(rig.image_size),
-                np.concatenate([[*e.focal_px, *e.principal_point_px, *e.distortion] for e in (rig.left, rig.right)]),
+                np.concatenate(
+                    [
+                        [*e.focal_px, *e.principal_point_px, *e.distortion]
+                        for e in (rig.left, rig.right)
+                    ]
+                ),
                 rig.R_right_left.ravel(),
                 rig.t_right_left,
                 [rig.disparity_offset_px],
@@ -193,7 +232,12 @@ def small_rig() -> StereoCalibration:
     """The rectified rig of `rendered_pair`."""
     eye = CameraModel((520.0, 520.0), (320.0, 240.0))
     return make_calibration(
-        "small", image_size=SMALL, left=eye, right=eye, translation_m=(-0.12, 0, 0), images="rectified"
+        "small",
+        image_size=SMALL,
+        left=eye,
+        right=eye,
+        translation_m=(-0.12, 0, 0),
+        images="rectified",
     )
 
 
@@ -212,7 +256,9 @@ def board_image(board: Board, square_px: int = 40) -> U8:
         target = cv2.aruco.CharucoBoard((columns, rows), board.square_m, board.marker_m, dictionary)
         face = target.generateImage((columns * square_px, rows * square_px))
     else:
-        face = np.kron(np.indices((rows, columns)).sum(0) % 2, np.ones((square_px, square_px))) * 255
+        face = (
+            np.kron(np.indices((rows, columns)).sum(0) % 2, np.ones((square_px, square_px))) * 255
+        )
     return np.pad(face.astype(np.uint8), square_px, constant_values=255)
 
 
@@ -223,7 +269,12 @@ def rendered(board: Board, T_camera_board: F64) -> tuple[U8, F64]:
     H_board_print[:2, 2] = -(2 * square_px - 0.5) * board.square_m / square_px
     H = K_SMALL @ T_camera_board[:3, [0, 1, 3]] @ H_board_print
     page = cv2.warpPerspective(
-        board_image(board, square_px), H, SMALL, flags=cv2.INTER_AREA, borderMode=cv2.BORDER_CONSTANT, borderValue=150
+        board_image(board, square_px),
+        H,
+        SMALL,
+        flags=cv2.INTER_AREA,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=150,
     )
     seen = apply(T_camera_board, board.points) @ K_SMALL.T
     return cv2.GaussianBlur(page, (0, 0), 0.7), seen[:, :2] / seen[:, 2:]

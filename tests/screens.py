@@ -90,4 +90,6 @@ def _surface(screen: Screen, ray: F64, depth: F64, shade: F64) -> Surface:
     depth = RIG.depth(disparity)
     grey = np.clip(shade + rng.normal(0, 5, depth.shape), 0, 255).astype(np.uint8)
     xyz: F32 = (ray * depth[..., None]).astype(np.float32)
-    return Surface(xyz, np.dstack([grey] * 3), RIG.depth_sigma(depth, SIGMA_PX).astype(np.float32), 0, 0, RIG)
+    return Surface(
+        xyz, np.dstack([grey] * 3), RIG.depth_sigma(depth, SIGMA_PX).astype(np.float32), 0, 0, RIG
+    )

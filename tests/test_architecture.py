@@ -25,7 +25,9 @@ def stages_that_import_others(graph: architecture.Imports) -> list[str]:
         f"{module} imports {other}"
         for module, others in graph.items()
         for other in sorted(others)
-        if (mine := stage(module)) and (theirs := stage(other)) and theirs not in {mine, *MORE_THAN_ONE.get(mine, ())}
+        if (mine := stage(module))
+        and (theirs := stage(other))
+        and theirs not in {mine, *MORE_THAN_ONE.get(mine, ())}
     ]
 
 
@@ -68,7 +70,9 @@ def test_each_rule_sees_a_breach(tmp_path: Path) -> None:
         cli__run="from stereo_ore.lab import synth",
         cli__bench="from stereo_ore.lab import synth",
     )
-    assert stages_that_import_others(found) == ["stereo_ore.stages.strike imports stereo_ore.stages.cloud"]
+    assert stages_that_import_others(found) == [
+        "stereo_ore.stages.strike imports stereo_ore.stages.cloud"
+    ]
     assert architecture.circles(found) == [["stereo_ore.io.site", "stereo_ore.stages.cloud"]]
     assert architecture.breaches(found) == [
         "stereo_ore.cli.run, which is no verb of the laboratory, imports stereo_ore.lab.synth",
@@ -83,7 +87,11 @@ def test_only_the_command_line_exits_and_prints() -> None:
         if "cli" in file.relative_to(PACKAGE).parts:
             continue
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Call) and ast.unparse(node.func) in ("print", "sys.exit", "exit"):
+            if isinstance(node, ast.Call) and ast.unparse(node.func) in (
+                "print",
+                "sys.exit",
+                "exit",
+            ):
                 offenders.append(f"{file.name}:{node.lineno}")
     assert offenders == []
 

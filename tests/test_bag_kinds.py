@@ -1,4 +1,5 @@
-"""Bags of other recorders: the camera_info that counts, baselines, write-ahead logs, Foxglove, RealSense."""
+"""Bags of other recorders: the camera_info that counts, baselines, write-ahead logs, Foxglove,
+RealSense."""
 
 import contextlib
 import shutil
@@ -49,22 +50,30 @@ def write(path: Path, messages: Sequence[Message], storage: str = "MCAP") -> Pat
         for topic, logged_ns, message in messages:
             if topic not in connections:
                 connections[topic] = bag.add_connection(topic, message.__msgtype__, typestore=types)
-            bag.write(connections[topic], logged_ns, types.serialize_cdr(message, message.__msgtype__))
+            bag.write(
+                connections[topic], logged_ns, types.serialize_cdr(message, message.__msgtype__)
+            )
     return path
 
 
-def images(count: int, topics: tuple[str, str] = TOPICS, frames: tuple[str, str] = ("left", "right")) -> list[Message]:
+def images(
+    count: int, topics: tuple[str, str] = TOPICS, frames: tuple[str, str] = ("left", "right")
+) -> list[Message]:
     found = []
     for n in range(count):
         for eye, topic in enumerate(topics):
             stamp = START + n * PERIOD
-            message = image_message(store(), Shot(topic, stamp, stamp, picture(n, eye)), "bgr8", first=False)
+            message = image_message(
+                store(), Shot(topic, stamp, stamp, picture(n, eye)), "bgr8", first=False
+            )
             message.header.frame_id = frames[eye]
             found.append((topic, stamp, message))
     return found
 
 
-def info(eye: int, stamp_ns: int, focal_px: float = 30.0, baseline_m: float = 0.12, frame: str = "") -> Any:
+def info(
+    eye: int, stamp_ns: int, focal_px: float = 30.0, baseline_m: float = 0.12, frame: str = ""
+) -> Any:
     camera = Camera(TOPICS[eye], (WIDTH, HEIGHT), (focal_px, focal_px), (16.0, 10.0), baseline_m)
     message = camera_info(store(), camera, first=False)
     message.header = header(store(), stamp_ns, first=False)
@@ -74,7 +83,11 @@ def info(eye: int, stamp_ns: int, focal_px: float = 30.0, baseline_m: float = 0.
 
 def infos(times: Sequence[tuple[int, int, float]]) -> list[Message]:
     """camera_info of both eyes: recorded when, stamped when, focal length."""
-    return [(INFOS[eye], logged, info(eye, stamp, focal)) for logged, stamp, focal in times for eye in (0, 1)]
+    return [
+        (INFOS[eye], logged, info(eye, stamp, focal))
+        for logged, stamp, focal in times
+        for eye in (0, 1)
+    ]
 
 
 def focal_of(path: Path) -> float:
@@ -99,19 +112,28 @@ def focal_of(path: Path) -> float:
     }.items(),
     ids=lambda item: item[0],
 )  # fmt: skip
-def test_the_camera_info_that_goes_with_the_images(times: tuple[str, list[Any]], tmp_path: Path) -> None:
+def test_the_camera_info_that_goes_with_the_images(
+    times: tuple[str, list[Any]], tmp_path: Path
+) -> None:
     messages = infos(times[1])
     for _, _, message in messages:
         if message.p[0] == 0:
             message.k[:] = 0
-    assert focal_of(write(tmp_path / "bag", sorted([*messages, *images(2)], key=lambda m: m[1]))) == 30.0
+    assert (
+        focal_of(write(tmp_path / "bag", sorted([*messages, *images(2)], key=lambda m: m[1])))
+        == 30.0
+    )
 
 
 def test_two_that_differ_among_the_images_are_an_error_that_counts_them(tmp_path: Path) -> None:
     messages = infos([(START - 9, 0, 20.0), (START + PERIOD - 9, 0, 30.0)])
-    source = open_source(write(tmp_path / "bag", sorted([*messages, *images(3)], key=lambda m: m[1])))
+    source = open_source(
+        write(tmp_path / "bag", sorted([*messages, *images(3)], key=lambda m: m[1]))
+    )
     assert source.read(2).left.shape == (HEIGHT, WIDTH, 3), "with --calib it can be used"
-    with pytest.raises(CalibrationError, match=r"2 different ones go with 1 and 2 images\. .*--calib"):
+    with pytest.raises(
+        CalibrationError, match=r"2 different ones go with 1 and 2 images\. .*--calib"
+    ):
         _ = source.calibration
 
 
@@ -126,7 +148,9 @@ def test_an_unusable_camera_info_ends_only_a_run_without_calib(tmp_path: Path) -
 def test_where_a_camera_info_may_be() -> None:
     assert "/left/camera_info" in camera_info_topics("/left/image_rect/video")
     assert "/d/s/Infrared_1/info/camera_info" in camera_info_topics("/d/s/Infrared_1/image/data")
-    assert "/d/s/Infrared_1/image/camera_info" in camera_info_topics("/d/s/Infrared_1/image/data/compressed")
+    assert "/d/s/Infrared_1/image/camera_info" in camera_info_topics(
+        "/d/s/Infrared_1/image/data/compressed"
+    )
 
 
 # --- baselines from elsewhere
@@ -135,31 +159,46 @@ def test_where_a_camera_info_may_be() -> None:
 def transform(child: str, parent: str, x: float) -> Any:
     types = store().types
     zero = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
-    moved = types["geometry_msgs/msg/Transform"](types["geometry_msgs/msg/Vector3"](x, 0.0, 0.0), zero)
+    moved = types["geometry_msgs/msg/Transform"](
+        types["geometry_msgs/msg/Vector3"](x, 0.0, 0.0), zero
+    )
     head = header(store(), 0, first=False)
     head.frame_id = parent
     return types["geometry_msgs/msg/TransformStamped"](head, child, moved)
 
 
 def test_the_baseline_may_be_in_the_static_tree(tmp_path: Path) -> None:
-    tree = store().types["tf2_msgs/msg/TFMessage"]([transform("l", "base", -0.05), transform("r", "base", 0.07)])
-    messages = [(INFOS[eye], START, info(eye, 0, baseline_m=0.0, frame="lr"[eye])) for eye in (0, 1)]
-    source = open_source(write(tmp_path / "bag", [("/tf_static", START, tree), *messages, *images(1)]))
+    tree = store().types["tf2_msgs/msg/TFMessage"](
+        [transform("l", "base", -0.05), transform("r", "base", 0.07)]
+    )
+    messages = [
+        (INFOS[eye], START, info(eye, 0, baseline_m=0.0, frame="lr"[eye])) for eye in (0, 1)
+    ]
+    source = open_source(
+        write(tmp_path / "bag", [("/tf_static", START, tree), *messages, *images(1)])
+    )
     np.testing.assert_allclose(source.calibration.t_right_left, [-0.12, 0, 0], atol=1e-12)
 
 
 def test_a_tree_that_does_not_hold_the_cameras_gives_no_baseline(tmp_path: Path) -> None:
-    tree = store().types["tf2_msgs/msg/TFMessage"]([transform("l", "base", 0.0), transform("r", "other", 0.12)])
-    messages = [(INFOS[eye], START, info(eye, 0, baseline_m=0.0, frame="lr"[eye])) for eye in (0, 1)]
+    tree = store().types["tf2_msgs/msg/TFMessage"](
+        [transform("l", "base", 0.0), transform("r", "other", 0.12)]
+    )
+    messages = [
+        (INFOS[eye], START, info(eye, 0, baseline_m=0.0, frame="lr"[eye])) for eye in (0, 1)
+    ]
     with pytest.raises(CalibrationError, match="--calib"):
-        _ = open_source(write(tmp_path / "bag", [("/tf_static", START, tree), *messages, *images(1)])).calibration
+        _ = open_source(
+            write(tmp_path / "bag", [("/tf_static", START, tree), *messages, *images(1)])
+        ).calibration
 
 
 # --- RealSense's recorders
 
 
 def test_pairs_are_those_of_the_camera_s_time(tmp_path: Path) -> None:
-    """The recorder stamps images as they reach it: here the eyes of one exposure are 40 ms apart."""
+    """The recorder stamps images as they reach it: here the eyes of one exposure are 40 ms
+    apart."""
     topics = tuple(f"/device_0/sensor_0/Infrared_{n}/image/data" for n in (1, 2))
     text = store().types["std_msgs/msg/String"]
     messages: list[Message] = []
@@ -168,7 +207,10 @@ def test_pairs_are_those_of_the_camera_s_time(tmp_path: Path) -> None:
             logged = 5 + n * PERIOD + 40_000_000 * eye
             shot = Shot(topic, logged, logged, picture(n, eye))
             messages.append((topic, logged, image_message(store(), shot, "mono8", first=False)))
-            said = f"Frame number={n};timestamp_domain=Hardware Clock;timestamp={1000 + 33.3 * n:.6f};Actual Fps=30;"
+            said = (
+                f"Frame number={n};timestamp_domain=Hardware"
+                f" Clock;timestamp={1000 + 33.3 * n:.6f};Actual Fps=30;"
+            )
             messages.append((topic.replace("/data", "/metadata"), logged, text(said)))
     source = open_source(write(tmp_path / "bag", messages))
     assert source.description["unpaired"] == 0
@@ -195,8 +237,13 @@ def test_a_write_ahead_log_is_read_and_left_as_it_is(tmp_path: Path) -> None:
     live = tmp_path / "live" / recorded.name
     live.parent.mkdir()
     shutil.copy(folder / "metadata.yaml", live.parent)
-    with contextlib.closing(sqlite3.connect(recorded)) as whole, contextlib.closing(sqlite3.connect(live)) as database:
-        script = [line for line in whole.iterdump() if line not in ("BEGIN TRANSACTION;", "COMMIT;")]
+    with (
+        contextlib.closing(sqlite3.connect(recorded)) as whole,
+        contextlib.closing(sqlite3.connect(live)) as database,
+    ):
+        script = [
+            line for line in whole.iterdump() if line not in ("BEGIN TRANSACTION;", "COMMIT;")
+        ]
         database.executescript("\n".join(line for line in script if 'INTO "messages"' not in line))
         rows = [line for line in script if 'INTO "messages"' in line]
         assert len(rows) == 8
@@ -214,15 +261,17 @@ def test_a_write_ahead_log_is_read_and_left_as_it_is(tmp_path: Path) -> None:
         source = open_source(path)
         assert len(source.names) == 4
         np.testing.assert_array_equal(source.read(3).right, picture(3, 1))
-    assert {path.name: path.read_bytes() for path in copy.iterdir() if not path.name.endswith("-shm")} == {
-        name: data for name, data in before.items() if not name.endswith("-shm")
-    }
+    assert {
+        path.name: path.read_bytes() for path in copy.iterdir() if not path.name.endswith("-shm")
+    } == {name: data for name, data in before.items() if not name.endswith("-shm")}
 
 
 # --- Foxglove
 
 
-def foxglove_mcap(path: Path, kind: str, messages: Iterator[tuple[str, int, bytes]], schema: bytes) -> Path:
+def foxglove_mcap(
+    path: Path, kind: str, messages: Iterator[tuple[str, int, bytes]], schema: bytes
+) -> Path:
     from mcap.writer import Writer
 
     with path.open("wb") as file:
@@ -239,23 +288,31 @@ def foxglove_mcap(path: Path, kind: str, messages: Iterator[tuple[str, int, byte
 
 
 def foxglove_types() -> tuple[bytes, Any]:
-    """Schema and classes of RawImage and CompressedVideo, as Foxglove publishes them (the fields that matter)."""
+    """Schema and classes of RawImage and CompressedVideo, as Foxglove publishes them (the fields
+    that matter)."""
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
 
-    file = descriptor_pb2.FileDescriptorProto(name="images.proto", package="foxglove", syntax="proto3")
+    file = descriptor_pb2.FileDescriptorProto(
+        name="images.proto", package="foxglove", syntax="proto3"
+    )
     file.dependency.append("google/protobuf/timestamp.proto")
     field = descriptor_pb2.FieldDescriptorProto
     kinds = {"text": field.TYPE_STRING, "fixed": field.TYPE_FIXED32, "bytes": field.TYPE_BYTES}
     for name, fields in {
         "RawImage": [
-            *((name, number, "fixed") for name, number in (("width", 2), ("height", 3), ("step", 5))),
+            *((name, number, "fixed") for name,
+            number in (("width", 2), ("height", 3), ("step", 5))),
             *(("encoding", 4, "text"), ("frame_id", 7, "text"), ("data", 6, "bytes")),
         ],
         "CompressedVideo": [("frame_id", 2, "text"), ("data", 3, "bytes"), ("format", 4, "text")],
     }.items():  # fmt: skip
         message = file.message_type.add(name=name)
         message.field.add(
-            name="timestamp", number=1, type=field.TYPE_MESSAGE, type_name=".google.protobuf.Timestamp", label=1
+            name="timestamp",
+            number=1,
+            type=field.TYPE_MESSAGE,
+            type_name=".google.protobuf.Timestamp",
+            label=1,
         )
         for key, number, kind in fields:
             message.field.add(name=key, number=number, type=kinds[kind], label=1)
@@ -266,7 +323,9 @@ def foxglove_types() -> tuple[bytes, Any]:
     for each in (stamps, file):
         pool.Add(each)
     make = message_factory.GetMessageClass
-    return schema.SerializeToString(), lambda name: make(pool.FindMessageTypeByName(f"foxglove.{name}"))
+    return schema.SerializeToString(), lambda name: make(
+        pool.FindMessageTypeByName(f"foxglove.{name}")
+    )
 
 
 def test_foxglove_raw_images(tmp_path: Path) -> None:
@@ -275,7 +334,9 @@ def test_foxglove_raw_images(tmp_path: Path) -> None:
     def messages() -> Iterator[tuple[str, int, bytes]]:
         for n in range(3):
             for eye, topic in enumerate(("/left/image", "/right/image")):
-                message = make("RawImage")(width=WIDTH, height=HEIGHT, encoding="bgr8", step=3 * WIDTH)
+                message = make("RawImage")(
+                    width=WIDTH, height=HEIGHT, encoding="bgr8", step=3 * WIDTH
+                )
                 message.data = picture(n, eye).tobytes()
                 message.timestamp.FromNanoseconds(START + n * PERIOD)
                 yield topic, START + n * PERIOD + 5 + eye, message.SerializeToString()
@@ -307,7 +368,9 @@ def test_foxglove_videos(gop: int, tmp_path: Path) -> None:
 
 def test_a_whole_file_is_not_sent_to_repair(tmp_path: Path) -> None:
     schema, _ = foxglove_types()
-    path = foxglove_mcap(tmp_path / "x.mcap", "Odometry", iter([("/pose", START, b"\x0a\x00")]), schema)
+    path = foxglove_mcap(
+        tmp_path / "x.mcap", "Odometry", iter([("/pose", START, b"\x0a\x00")]), schema
+    )
     with pytest.raises(
         SourceError, match=r"no image that can be read here: /pose \(protobuf foxglove\.Odometry\)"
     ) as caught:
@@ -339,7 +402,9 @@ def test_a_compressed_bag_is_a_folder_or_its_file(tmp_path: Path) -> None:
     with pytest.raises(SourceError, match=r"Unpack it: zstd -d alone\.db3\.zstd"):
         open_source(tmp_path / "alone.db3.zstd")
     folder = write_bag(
-        tmp_path / "bag", "sqlite3", [Shot(t, START, START, picture(0, i)) for i, t in enumerate(TOPICS)]
+        tmp_path / "bag",
+        "sqlite3",
+        [Shot(t, START, START, picture(0, i)) for i, t in enumerate(TOPICS)],
     )
     assert len(open_source(folder).names) == 1
 
@@ -347,7 +412,9 @@ def test_a_compressed_bag_is_a_folder_or_its_file(tmp_path: Path) -> None:
 # --- windows of a sensor
 
 
-def windowed(cx: float, cy: float, offset: tuple[int, int], size: tuple[int, int]) -> dict[str, Any]:
+def windowed(
+    cx: float, cy: float, offset: tuple[int, int], size: tuple[int, int]
+) -> dict[str, Any]:
     message = info(0, 0)
     message.k[2], message.k[5] = cx, cy
     message.roi.x_offset, message.roi.y_offset = offset
@@ -357,7 +424,11 @@ def windowed(cx: float, cy: float, offset: tuple[int, int], size: tuple[int, int
 
 def test_a_size_that_is_the_window_s_is_resolved_by_the_principal_point() -> None:
     of_sensor = windowed(642.3, 361.7, (320, 120), (640, 480))
-    assert (of_sensor["width"], of_sensor["height"], of_sensor["roi"]) == (960.0, 600.0, (320, 120, 640, 480))
+    assert (of_sensor["width"], of_sensor["height"], of_sensor["roi"]) == (
+        960.0,
+        600.0,
+        (320, 120, 640, 480),
+    )
     of_window = windowed(322.3, 241.7, (640, 480), (640, 480))
     assert (of_window["width"], of_window["roi"]) == (640.0, (0, 0, 0, 0))
     either = windowed(500.0, 300.0, (100, 100), (640, 480))

@@ -1,4 +1,5 @@
-"""Frames one after the other: read ahead, written behind, in order, with every error at its frame."""
+"""Frames one after the other: read ahead, written behind, in order, with every error at its
+frame."""
 
 import json
 import threading
@@ -25,7 +26,8 @@ IMAGE = np.zeros((2, 2, 3), np.uint8)
 
 @dataclass
 class Fake:
-    """A recording that takes its time, fails at some frames, and knows what was read, and by whom."""
+    """A recording that takes its time, fails at some frames, and knows what was read, and by
+    whom."""
 
     count: int = 12
     broken: tuple[int, ...] = ()
@@ -84,7 +86,9 @@ def job() -> batch.Job:
     return made()
 
 
-def made(source: Fake | None = None, files: FakeFiles | None = None, strict: bool = False) -> batch.Job:
+def made(
+    source: Fake | None = None, files: FakeFiles | None = None, strict: bool = False
+) -> batch.Job:
     driver = Driver(FakeChain(), files or FakeFiles())  # type: ignore[arg-type]
     return batch.Job(source or Fake(), driver, strict)
 
@@ -117,7 +121,9 @@ def test_what_waits_is_bounded() -> None:
     next(lines)
     assert len(slow.source.calls) <= batch.WRITES_AHEAD + 1 + ahead.FRAMES_AHEAD
     lines.close()
-    assert len(slow.driver.files.done) <= batch.WRITES_AHEAD + 1, "frames in work are finished, no more are begun"
+    assert len(slow.driver.files.done) <= batch.WRITES_AHEAD + 1, (
+        "frames in work are finished, no more are begun"
+    )
 
 
 def test_a_frame_that_cannot_be_read_fails_alone(job: batch.Job) -> None:
@@ -128,7 +134,8 @@ def test_a_strict_job_gives_the_frames_before(job: batch.Job) -> None:
     found = []
     with pytest.raises(FrameError, match="frame 000004 failed: 4: is broken"):
         found.extend(
-            json.loads(entry.record)["index"] for entry in batch.run(made(Fake(broken=(4,)), strict=True), range(8))
+            json.loads(entry.record)["index"]
+            for entry in batch.run(made(Fake(broken=(4,)), strict=True), range(8))
         )
     assert found == [0, 1, 2, 3]
 
@@ -144,7 +151,11 @@ def test_frames_out_of_the_announced_order_are_read_too() -> None:
     source = Fake()
     with ReadAhead(source, [0, 1, 2]) as recording:
         assert [recording.read(index).index for index in (5, 0, 1, 7, 2, 2)] == [5, 0, 1, 7, 2, 2]
-        assert (recording.names, recording.path, recording.files(0)) == (source.names, source.path, ())
+        assert (recording.names, recording.path, recording.files(0)) == (
+            source.names,
+            source.path,
+            (),
+        )
         assert (recording.calibration, recording.description) == (None, {})
 
 

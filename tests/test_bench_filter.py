@@ -14,7 +14,13 @@ from stereo_ore.errors import CloudError, OutputError, SourceError
 from stereo_ore.lab.bench import filters as bench
 from stereo_ore.lab.bench import tables
 from stereo_ore.lab.bench.baselines import Contender
-from stereo_ore.lab.bench.labelled import LabelledCloud, bare_cloud, labelled_file, paper_clouds, scene_stereo
+from stereo_ore.lab.bench.labelled import (
+    LabelledCloud,
+    bare_cloud,
+    labelled_file,
+    paper_clouds,
+    scene_stereo,
+)
 from stereo_ore.lab.bench.real_stereo import WAYS, altered, real_cloud
 from stereo_ore.lab.bench.stereo_sets import StereoSet
 from stereo_ore.types import RectifiedPair, Region, Rig
@@ -25,7 +31,9 @@ def plane_with_outliers() -> LabelledCloud:
     plane = np.column_stack([rng.uniform(0, 1, (900, 2)), np.zeros(900)])
     far = rng.uniform([0, 0, 1], [1, 1, 2], (30, 3))
     noise = np.arange(930) >= 900
-    return LabelledCloud("plane", "cell", bare_cloud(np.concatenate([plane, far])), noise, on_bar=~noise)
+    return LabelledCloud(
+        "plane", "cell", bare_cloud(np.concatenate([plane, far])), noise, on_bar=~noise
+    )
 
 
 def test_a_tuned_contender_shows_its_best_setting() -> None:
@@ -41,8 +49,10 @@ def test_a_tuned_contender_shows_its_best_setting() -> None:
 
 
 def test_means_and_summary() -> None:
-    rows = bench.judge_all([plane_with_outliers()] * 2, [Contender("statistical", "statistical", thresholds=(1.0,)),
-                                                         Contender("adaptive", "none")])  # fmt: skip
+    rows = bench.judge_all([plane_with_outliers()] * 2,
+    [Contender("statistical", "statistical", thresholds=(1.0,)),
+                                                         Contender("adaptive",
+                                                         "none")])  # fmt: skip
     cells = bench.means(rows)
     assert [(c["filter"], c["clouds"]) for c in cells] == [("statistical", 2), ("adaptive", 2)]
     summary = bench.summary(cells)
@@ -56,7 +66,9 @@ def test_paper_clouds_are_nine_cells_of_the_published_size() -> None:
     assert cells[0].is_noise.mean() == pytest.approx(0.099, abs=1e-3)
 
 
-def test_a_scene_without_yaml_files_gives_the_same_cloud(synth_folder: Path, tmp_path: Path) -> None:
+def test_a_scene_without_yaml_files_gives_the_same_cloud(
+    synth_folder: Path, tmp_path: Path
+) -> None:
     for name in ("left.png", "right.png", "calib.json", "gt.json", "gt.npz"):
         (tmp_path / name).symlink_to(synth_folder / name)
     with_files, without = scene_stereo(synth_folder), scene_stereo(tmp_path)
@@ -152,7 +164,18 @@ def test_the_command_writes_everything(tmp_path: Path) -> None:
     readme = tmp_path / "README.md"
     readme.write_text("<!-- bench filter -->\n<!-- /bench filter -->\n")
     out = tmp_path / "bench"
-    arguments = ["bench", "filter", "--out", str(out), "--seeds", "1", "--stereo-seeds", "0", "--readme", str(readme)]
+    arguments = [
+        "bench",
+        "filter",
+        "--out",
+        str(out),
+        "--seeds",
+        "1",
+        "--stereo-seeds",
+        "0",
+        "--readme",
+        str(readme),
+    ]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
     document = json.loads((out / "bench-filter.json").read_text())
@@ -165,6 +188,15 @@ def test_the_command_writes_everything(tmp_path: Path) -> None:
 
 def test_a_folder_without_scenes_is_an_error(tmp_path: Path) -> None:
     load_verbs()
-    arguments = ["bench", "filter", "--out", str(tmp_path), "--seeds", "1", "--scenes", str(tmp_path)]
+    arguments = [
+        "bench",
+        "filter",
+        "--out",
+        str(tmp_path),
+        "--seeds",
+        "1",
+        "--scenes",
+        str(tmp_path),
+    ]
     fault = CliRunner().invoke(app, arguments).exception
     assert isinstance(fault, SourceError)

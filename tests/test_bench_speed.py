@@ -16,7 +16,8 @@ from stereo_ore.lab.bench import growth, memory, speed, speed_tables
 from stereo_ore.lab.bench.growth import GrowthRow
 
 STAGES = [
-    "read", "rectify", "match", "register", "cloud", "voxels", "filter", "surface", "grizzly", "segment", "solids",
+    "read", "rectify", "match", "register", "cloud", "voxels", "filter", "surface", "grizzly",
+    "segment", "solids",
     "strikes", "ores", "health", "record", "files",
 ]  # fmt: skip
 
@@ -69,13 +70,18 @@ def test_a_short_peak_is_seen() -> None:
 
 
 def test_peaks_belong_to_the_stage_they_fall_into() -> None:
-    samples = [(t, int(size * 1e6)) for t, size in ((10.0, 1), (10.05, 7), (10.15, 3), (10.25, 9), (10.4, 99))]
+    samples = [
+        (t, int(size * 1e6))
+        for t, size in ((10.0, 1), (10.05, 7), (10.15, 3), (10.25, 9), (10.4, 99))
+    ]
     stages = {"first": 100.0, "second": 100.0, "third": 100.0}
     assert memory.stage_peaks_mb(samples, 10.0, stages) == {"first": 7, "second": 3, "third": 9}
     assert memory.stage_peaks_mb([], 10.0, stages) == {}
 
 
-def test_where_the_system_does_not_tell_memory_is_not_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_the_system_does_not_tell_memory_is_not_measured(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     done: list[int] = []
     monkeypatch.setattr(memory, "STATM", Path("/nowhere"))
     assert memory.sampled(lambda: done.append(1)) == []
@@ -85,9 +91,15 @@ def test_where_the_system_does_not_tell_memory_is_not_measured(monkeypatch: pyte
 
 def test_filters_grow_and_the_slow_ones_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = growth.measure([500, 5000], limit_s=1000)
-    assert [(row.filter, row.points) for row in rows] == [(name, n) for n in (500, 5000) for name in growth.FILTERS]
+    assert [(row.filter, row.points) for row in rows] == [
+        (name, n) for n in (500, 5000) for name in growth.FILTERS
+    ]
     assert all(row.seconds is not None and row.seconds > 0 for row in rows)
-    monkeypatch.setattr(growth, "_in_own_process", lambda n, names: {f: GrowthRow(f, n, n / 1000, 1.0) for f in names})
+    monkeypatch.setattr(
+        growth,
+        "_in_own_process",
+        lambda n, names: {f: GrowthRow(f, n, n / 1000, 1.0) for f in names},
+    )
     rows = growth.measure([1_000_000, 10_000_000], limit_s=12_000)
     assert [row.filter for row in rows if row.seconds is None] == [growth.LOF]
     rows = growth.measure([1_000_000, 10_000_000], limit_s=11_000)
@@ -98,7 +110,9 @@ def test_the_cloud_is_a_surface_with_noise() -> None:
     cloud = growth.rough_surface(20_000)
     assert cloud.shape == (20_000, 3)
     surface = 0.05 * np.sin(cloud[:, 0] / 0.05) * np.cos(cloud[:, 1] / 0.07)
-    assert np.mean(np.abs(cloud[:, 2] - surface) > 0.0015) == pytest.approx(growth.NOISE_SHARE, abs=0.03)
+    assert np.mean(np.abs(cloud[:, 2] - surface) > 0.0015) == pytest.approx(
+        growth.NOISE_SHARE, abs=0.03
+    )
     np.testing.assert_array_equal(cloud, growth.rough_surface(20_000))
 
 
@@ -121,13 +135,19 @@ def test_the_picture_is_drawn(cost: speed.FrameCost, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     for frames in ([], [cost, cost]):
         path = tmp_path / f"{len(frames)}.png"
-        speed_tables.draw(frames, [GrowthRow("a", 10, 1.0, 5.0), GrowthRow("a", 100, None, None)], path)
+        speed_tables.draw(
+            frames, [GrowthRow("a", 10, 1.0, 5.0), GrowthRow("a", 100, None, None)], path
+        )
         assert path.stat().st_size > 10_000
 
 
 def test_an_unknown_size_is_refused_before_the_work(tmp_path: Path) -> None:
     load_verbs()
-    fault = CliRunner().invoke(app, ["bench", "speed", "--out", str(tmp_path / "x"), "--size", "HD7"]).exception
+    fault = (
+        CliRunner()
+        .invoke(app, ["bench", "speed", "--out", str(tmp_path / "x"), "--size", "HD7"])
+        .exception
+    )
     assert isinstance(fault, ConfigError)
     assert "HD720" in str(fault)
     assert not (tmp_path / "x").exists()
@@ -138,11 +158,25 @@ def test_the_command_writes_everything(tmp_path: Path) -> None:
     load_verbs()
     readme, out = tmp_path / "README.md", tmp_path / "bench"
     readme.write_text("<!-- bench speed -->\n<!-- /bench speed -->\n")
-    words = ["bench", "speed", "--out", str(out), "--size", "VGA", "--rounds", "1", "--points", "10000"]
+    words = [
+        "bench",
+        "speed",
+        "--out",
+        str(out),
+        "--size",
+        "VGA",
+        "--rounds",
+        "1",
+        "--points",
+        "10000",
+    ]
     result = CliRunner().invoke(app, [*words, "--readme", str(readme)])
     assert result.exit_code == 0, result.output
     document = json.loads((out / "bench-speed.json").read_text())
-    assert [(frame["size"], frame["site"]) for frame in document["frames"]] == [("VGA", True), ("VGA", False)]
+    assert [(frame["size"], frame["site"]) for frame in document["frames"]] == [
+        ("VGA", True),
+        ("VGA", False),
+    ]
     assert {row["points"] for row in document["growth"]} == {10_000}
     assert "VGA, no site" in readme.read_text()
     assert (out / "bench-speed.png").stat().st_size > 10_000

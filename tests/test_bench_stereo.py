@@ -1,4 +1,5 @@
-"""The stereo benchmark: readers against broken files, figures against hand-made errors, the quality it must show."""
+"""The stereo benchmark: readers against broken files, figures against hand-made errors, the quality
+it must show."""
 
 import json
 from dataclasses import replace
@@ -24,7 +25,10 @@ def write_pfm(path: Path, values: np.ndarray, order: str = "<") -> None:
 def middlebury(tmp_path: Path, flat_plane_pair) -> Path:
     folder = tmp_path / "Plane"
     folder.mkdir()
-    for name, image in (("im0.png", flat_plane_pair.pair.left), ("im1.png", flat_plane_pair.pair.right)):
+    for name, image in (
+        ("im0.png", flat_plane_pair.pair.left),
+        ("im1.png", flat_plane_pair.pair.right),
+    ):
         cv2.imwrite(str(folder / name), image)
     truth = flat_plane_pair.disparity.copy()
     truth[:, :40] = np.inf
@@ -46,7 +50,13 @@ def test_pfm_of_either_byte_order_reads_top_row_first(order: str, tmp_path: Path
 
 @pytest.mark.parametrize(
     "content",
-    [b"", b"Pf\n4 3\n-1\n\0\0", b"PF\n1 1\n-1\n" + bytes(12), b"P5\n1 1\n255\n\0", b"Pf\nx y\n-1\n"],
+    [
+        b"",
+        b"Pf\n4 3\n-1\n\0\0",
+        b"PF\n1 1\n-1\n" + bytes(12),
+        b"P5\n1 1\n255\n\0",
+        b"Pf\nx y\n-1\n",
+    ],
     ids=["empty", "torn", "colour", "pgm", "no size"],
 )
 def test_broken_pfm_files_are_named(content: bytes, tmp_path: Path) -> None:
@@ -65,7 +75,9 @@ def test_a_set_is_recognised_and_unknown_truth_is_left_out(middlebury: Path) -> 
     assert data.region.num_disparities > np.nanmax(data.truth)
 
 
-def test_a_folder_without_sets_and_a_set_without_images_are_errors(tmp_path: Path, middlebury: Path) -> None:
+def test_a_folder_without_sets_and_a_set_without_images_are_errors(
+    tmp_path: Path, middlebury: Path
+) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(SourceError, match="no stereo pair"):
         list(stereo_sets.find_sets(tmp_path / "empty"))
@@ -82,7 +94,9 @@ def test_figures_are_those_of_hand_made_errors(flat_plane_pair) -> None:
     disparity = truth + np.array([[0.1, 0.3, -0.2, 1.5, 3.0], [np.nan, 0, 0, 0, 5]], np.float32)
     seen = np.zeros((2, 5), bool)
     seen[0] = True
-    data = stereo_sets.StereoSet("x", RectifiedPair(image, image, rig), truth, Region(0, 0, 5, 2, 0, 16), seen)
+    data = stereo_sets.StereoSet(
+        "x", RectifiedPair(image, image, rig), truth, Region(0, 0, 5, 2, 0, 16), seen
+    )
     everything, both = stereo._rows(data, "m", disparity, 7.0)
     assert (everything.scope, both.scope) == ("all", "seen")
     assert everything.density == pytest.approx(100 * 8 / 9)
@@ -94,9 +108,13 @@ def test_figures_are_those_of_hand_made_errors(flat_plane_pair) -> None:
     assert "| x | m | 88.9 |" in stereo.markdown([everything, both])
 
 
-def test_the_command_writes_both_forms(middlebury: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_writes_both_forms(
+    middlebury: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit) as done:
-        launch(["bench", "stereo", str(middlebury), "--repeats", "1", "--out", str(tmp_path / "out")])
+        launch(
+            ["bench", "stereo", str(middlebury), "--repeats", "1", "--out", str(tmp_path / "out")]
+        )
     assert done.value.code == 0
     document = json.loads((tmp_path / "out/bench-stereo.json").read_text())
     rows, (sure,) = document["matchers"], document["confidence"]
@@ -110,8 +128,12 @@ def test_the_command_writes_both_forms(middlebury: Path, tmp_path: Path, capsys:
 
 
 @pytest.mark.parametrize("name", ["Teddy", "Recycle", "Rocks1"])
-def test_real_pairs_have_fewer_bad_pixels_than_opencvs_matchers(name: str, shared_data: Path) -> None:
-    (data,) = (data for data in stereo_sets.find_sets(shared_data / "stereo_gt") if data.name == name)
+def test_real_pairs_have_fewer_bad_pixels_than_opencvs_matchers(
+    name: str, shared_data: Path
+) -> None:
+    (data,) = (
+        data for data in stereo_sets.find_sets(shared_data / "stereo_gt") if data.name == name
+    )
     bad = {}
     for matcher in ("stereo-ore", "SGBM", "SGBM+WLS"):
         error = np.abs(stereo.MATCHERS[matcher](data) - data.truth)[np.isfinite(data.truth)]
@@ -120,7 +142,9 @@ def test_real_pairs_have_fewer_bad_pixels_than_opencvs_matchers(name: str, share
     assert bad["stereo-ore"] < bad["SGBM+WLS"]
 
 
-@pytest.mark.parametrize(("name", "wrong", "median"), [("large_05", 1.0, 0.10), ("raw_01_large", 2.0, 0.10)])
+@pytest.mark.parametrize(
+    ("name", "wrong", "median"), [("large_05", 1.0, 0.10), ("raw_01_large", 2.0, 0.10)]
+)
 def test_ore_of_path_traced_scenes_is_measured_to_a_tenth_of_a_pixel(
     name: str, wrong: float, median: float, shared_data: Path
 ) -> None:
@@ -154,7 +178,12 @@ def test_a_peer_counts_at_its_best_setting_for_each_measure() -> None:
     def row(name: str, setting: str, one: float, two: float) -> equal_density.Compared:
         return equal_density.Compared(name, "HH", setting, 0.8, (0.2, 0.1), (one, two), 0.9)
 
-    rows = [row("a", "x", 0.21, 0.15), row("b", "x", 0.19, 0.15), row("a", "y", 0.3, 0.08), row("b", "y", 0.3, 0.11)]
+    rows = [
+        row("a", "x", 0.21, 0.15),
+        row("b", "x", 0.19, 0.15),
+        row("a", "y", 0.3, 0.08),
+        row("b", "y", 0.3, 0.11),
+    ]
     one, two = equal_density.verdicts(rows)
     assert (one.setting, one.won, two.setting, two.won) == ("x", 1, "y", 1)
     assert one.difference == pytest.approx(0, abs=1e-9)

@@ -102,20 +102,26 @@ def test_an_impossible_board_is_refused(fields: tuple[object, ...], word: str) -
 @pytest.mark.parametrize("board", [BOARD, CHARUCO], ids=["chessboard", "charuco"])
 @pytest.mark.parametrize("turn", [0.0, np.pi / 2, np.pi, -2.0])
 def test_corners_are_found_in_order_whatever_the_turn(board: Board, turn: float) -> None:
-    T = from_vector(np.array([0, 0, turn, 0, 0, 0.0])) @ from_vector(np.array([0.2, -0.25, 0, -0.18, -0.12, 0]))
+    T = from_vector(np.array([0, 0, turn, 0, 0, 0.0])) @ from_vector(
+        np.array([0.2, -0.25, 0, -0.18, -0.12, 0])
+    )
     T[2, 3] += 0.6
     image, truth = rendered(board, T)
     corners = find_corners(image, board)
     assert corners is not None
     assert np.abs(corners.px - truth[corners.ids]).max() < 0.3
-    assert len(corners.ids) >= (1.0 if board.marker_m is None else 0.85) * board.columns * board.rows
+    assert (
+        len(corners.ids) >= (1.0 if board.marker_m is None else 0.85) * board.columns * board.rows
+    )
 
 
 def test_corners_of_sharp_boards_lie_within_a_twentieth_of_a_pixel() -> None:
     """An image that is normalised first moves them by a quarter of a pixel."""
     errors = []
     for turn in (0.0, np.pi / 2, np.pi, -2.0):
-        T = from_vector(np.array([0, 0, turn, 0, 0, 0.0])) @ from_vector(np.array([0.2, -0.25, 0, -0.18, -0.12, 0]))
+        T = from_vector(np.array([0, 0, turn, 0, 0, 0.0])) @ from_vector(
+            np.array([0.2, -0.25, 0, -0.18, -0.12, 0])
+        )
         T[2, 3] += 0.6
         image, truth = rendered(BOARD, T)
         corners = find_corners(image, BOARD)
@@ -139,7 +145,15 @@ def test_no_board_and_half_a_board(tmp_path: Path) -> None:
 
 
 def test_rendered_charuco_pairs_give_the_camera_back() -> None:
-    turns = ((0.5, 0, 0), (-0.5, 0, 0.2), (0, 0.5, 0), (0, -0.5, -0.2), (0.4, 0.4, 0), (-0.4, 0.4, 0), (0.3, -0.4, 0.1))
+    turns = (
+        (0.5, 0, 0),
+        (-0.5, 0, 0.2),
+        (0, 0.5, 0),
+        (0, -0.5, -0.2),
+        (0.4, 0.4, 0),
+        (-0.4, 0.4, 0),
+        (0.3, -0.4, 0.1),
+    )
     shifts = ((0, 0), (-0.1, 0.05), (0.1, 0.05), (-0.1, -0.05), (0.1, -0.05), (0.05, 0), (-0.05, 0))
     views = []
     for index, (turn, shift) in enumerate(zip(turns, shifts, strict=True)):
@@ -154,8 +168,19 @@ def test_rendered_charuco_pairs_give_the_camera_back() -> None:
 
 def test_the_real_set_of_boards(shared_data: Path, tmp_path: Path) -> None:
     out, picture = tmp_path / "camera.yaml", tmp_path / "coverage.png"
-    line = ["stereo-ore", "calibrate", "stereo", shared_data / "boards/opencv", "--board", "9x6", "--square-mm", "25"]
-    done = subprocess.run([*line, "--out", out, "--picture", picture], capture_output=True, text=True, check=True)
+    line = [
+        "stereo-ore",
+        "calibrate",
+        "stereo",
+        shared_data / "boards/opencv",
+        "--board",
+        "9x6",
+        "--square-mm",
+        "25",
+    ]
+    done = subprocess.run(
+        [*line, "--out", out, "--picture", picture], capture_output=True, text=True, check=True
+    )
     assert "13 of 13 views used" in done.stdout
     rms = float(done.stdout.partition("reprojection RMS ")[2].split()[0])
     assert rms <= 0.22

@@ -1,4 +1,5 @@
-"""Boards that people have: ChArUco of the layout before OpenCV 4.6, and squares counted instead of inner corners."""
+"""Boards that people have: ChArUco of the layout before OpenCV 4.6, and squares counted instead of
+inner corners."""
 
 from pathlib import Path
 
@@ -16,7 +17,12 @@ from stereo_ore.errors import CalibrationError
     ("folder", "board", "tolerance_mm"),
     [
         ("surprises/opencv-01-charuco-legacy", Board(7, 5, 0.030, 0.022), 1.0),
-        pytest.param("reports/13-charuco-legacy/legacy_7x6", Board(6, 5, 0.040, 0.030), 0.5, marks=pytest.mark.slow),
+        pytest.param(
+            "reports/13-charuco-legacy/legacy_7x6",
+            Board(6, 5, 0.040, 0.030),
+            0.5,
+            marks=pytest.mark.slow,
+        ),
     ],
     ids=["opencv-01-charuco-legacy", "13-charuco-legacy"],
 )
@@ -27,7 +33,9 @@ def test_both_layouts_of_charuco_boards_are_tried(
     assert all(view.legacy for view in views)
     result = calibrate_stereo(views, board, size, 4)
     assert len(result.used) == len(views)
-    assert 1000 * np.linalg.norm(result.calibration.t_right_left) == pytest.approx(120, abs=tolerance_mm)
+    assert 1000 * np.linalg.norm(result.calibration.t_right_left) == pytest.approx(
+        120, abs=tolerance_mm
+    )
 
 
 def test_a_board_has_two_layouts_only_with_an_even_number_of_rows_of_squares() -> None:

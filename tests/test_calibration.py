@@ -1,4 +1,5 @@
-"""Native calibrations, what every calibration must fulfil, conversion, `calibrate import` and `show`."""
+"""Native calibrations, what every calibration must fulfil, conversion, `calibrate import` and
+`show`."""
 
 import shlex
 import shutil
@@ -53,7 +54,9 @@ def refused(path: Path, **wishes: object) -> str:
     return str(fault.value)
 
 
-@settings(deadline=None, max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    deadline=None, max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(rig=raw_rigs())
 def test_written_and_read_again_is_the_same_to_the_last_bit(rig, tmp_path: Path) -> None:
     path = tmp_path / "rig.yaml"
@@ -140,14 +143,24 @@ def test_a_broken_native_file_is_refused_by_name(tmp_path: Path, fault: str) -> 
 def test_all_faults_are_listed_at_once(tmp_path: Path) -> None:
     path = write(tmp_path, left__focal_px=[-1.0, 500.0], right__distortion=["a"], colour="red")
     message = refused(path)
-    assert all(word in message for word in ("3 faults", "left.focal_px", "right.distortion", "colour"))
-    geometry = refused(write(tmp_path, image_size=[640, 360], right_from_left__translation_m=[0.12, 0, 0]))
-    assert all(word in geometry for word in ("3 faults", "left.principal", "right.principal", "swapped"))
+    assert all(
+        word in message for word in ("3 faults", "left.focal_px", "right.distortion", "colour")
+    )
+    geometry = refused(
+        write(tmp_path, image_size=[640, 360], right_from_left__translation_m=[0.12, 0, 0])
+    )
+    assert all(
+        word in geometry for word in ("3 faults", "left.principal", "right.principal", "swapped")
+    )
 
 
 @pytest.mark.parametrize(
     ("text", "word"),
-    [("", "no known"), ("hello", "no known"), ("format: stereo_ore/stereo-calibration\n  x: [", "not valid YAML")],
+    [
+        ("", "no known"),
+        ("hello", "no known"),
+        ("format: stereo_ore/stereo-calibration\n  x: [", "not valid YAML"),
+    ],
 )
 def test_text_that_is_no_calibration_is_refused(tmp_path: Path, text: str, word: str) -> None:
     path = tmp_path / "x.yaml"
@@ -210,7 +223,9 @@ def command(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 def test_the_command_imports_converts_and_shows(tmp_path: Path) -> None:
     conf, out = CALIB / "formats/zed/SN00000000.conf", tmp_path / "out.yaml"
-    done = command("import", conf, "--size", "HD720", "--to", "HD2K", "--name", "ours", "--out", out)
+    done = command(
+        "import", conf, "--size", "HD720", "--to", "HD2K", "--name", "ours", "--out", out
+    )
     assert (done.returncode, done.stdout.strip(), done.stderr) == (0, str(out), "")
     assert same(load(out), load(conf, image_size=(2208, 1242)), 1e-9)
     assert "camera                 ours" in command("show", out).stdout
@@ -220,10 +235,19 @@ def test_the_command_imports_converts_and_shows(tmp_path: Path) -> None:
     ("arguments", "word"),
     [
         (("import", CALIB / "formats/zed/SN00000000.conf", "--out", "x.yaml"), "--size"),
-        (("import", CALIB / "formats/zed/SN00000000.conf", "--size", "big", "--out", "x.yaml"), "big"),
-        (("import", CALIB / "zed2_hd720.yaml", "--out", CALIB / "README.md" / "x.yaml"), "can't be written"),
+        (
+            ("import", CALIB / "formats/zed/SN00000000.conf", "--size", "big", "--out", "x.yaml"),
+            "big",
+        ),
+        (
+            ("import", CALIB / "zed2_hd720.yaml", "--out", CALIB / "README.md" / "x.yaml"),
+            "can't be written",
+        ),
         (("show", "nothing.yaml"), "no such file"),
-        (("show", CALIB / "zed2_hd720.yaml", "--picture", CALIB / "README.md" / "x.png"), "can't be written"),
+        (
+            ("show", CALIB / "zed2_hd720.yaml", "--picture", CALIB / "README.md" / "x.png"),
+            "can't be written",
+        ),
     ],
 )
 def test_a_fault_is_one_line_and_exit_code_1(arguments: tuple[object, ...], word: str) -> None:

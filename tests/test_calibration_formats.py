@@ -15,7 +15,9 @@ from stereo_ore.errors import CalibrationError
 from stereo_ore.io.calibration import FORMATS, load, save
 from stereo_ore.stages.rectify import make_rectifier
 
-MANY = settings(deadline=None, max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
+MANY = settings(
+    deadline=None, max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 
 
 def refused(path: Path, **wishes: object) -> str:
@@ -66,21 +68,30 @@ def test_kalibr_round_trip(rig, tmp_path: Path) -> None:
 
 
 def test_kalibr_equidistant_keeps_its_projection(tmp_path: Path) -> None:
-    eyes = [replace(eye, distortion=eye.distortion[:4]) for eye in (example_rig().left, example_rig().right)]
+    eyes = [
+        replace(eye, distortion=eye.distortion[:4])
+        for eye in (example_rig().left, example_rig().right)
+    ]
     rig = replace(example_rig(), left=eyes[0], right=eyes[1])
     path = write_kalibr(rig, tmp_path / "camchain.yaml", "equidistant")
     fisheye = [replace(eye, projection="equidistant") for eye in eyes]
     assert_round_trip(replace(rig, left=fisheye[0], right=fisheye[1]), path, 1e-11)
 
 
-@pytest.mark.parametrize("left_out", [("p1",), ("p2", "k3"), ("p1", "p2", "k3"), ("TY_HD", "TZ_HD")])
+@pytest.mark.parametrize(
+    "left_out", [("p1",), ("p2", "k3"), ("p1", "p2", "k3"), ("TY_HD", "TZ_HD")]
+)
 def test_a_zed_file_may_lack_small_terms(tmp_path: Path, left_out: tuple[str, ...]) -> None:
     read = load(write_zed(example_rig(), tmp_path / "SN1.conf", left_out=left_out), image_size=SIZE)
     for key, value in zip(("k1", "k2", "p1", "p2", "k3"), read.left.distortion, strict=True):
         assert value == (
-            0.0 if key in left_out else example_rig().left.distortion[("k1", "k2", "p1", "p2", "k3").index(key)]
+            0.0
+            if key in left_out
+            else example_rig().left.distortion[("k1", "k2", "p1", "p2", "k3").index(key)]
         )
-    assert read.t_right_left[1] == pytest.approx(0 if "TY_HD" in left_out else example_rig().t_right_left[1])
+    assert read.t_right_left[1] == pytest.approx(
+        0 if "TY_HD" in left_out else example_rig().t_right_left[1]
+    )
 
 
 @pytest.mark.parametrize("suffix", [True, False])
@@ -95,9 +106,12 @@ def test_zed_spellings(tmp_path: Path, suffix: bool, upper: bool) -> None:
 def test_zed_eight_coefficients_of_newer_files(tmp_path: Path) -> None:
     path = write_zed(example_rig(), tmp_path / "SN1.conf", left_out=("k1", "k2", "k3", "p1", "p2"))
     wide = "\n".join(
-        f"{key}={index / 1000}" for index, key in enumerate(("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"))
+        f"{key}={index / 1000}"
+        for index, key in enumerate(("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"))
     )
-    path.write_text(path.read_text() + f"[LEFT_DISTO]\n{wide}\n[RIGHT_DISTO]\n{wide}\n[MISC]\nSensor_ID=abc\n")
+    path.write_text(
+        path.read_text() + f"[LEFT_DISTO]\n{wide}\n[RIGHT_DISTO]\n{wide}\n[MISC]\nSensor_ID=abc\n"
+    )
     assert load(path).left.distortion == tuple(index / 1000 for index in range(8))
 
 
@@ -107,7 +121,9 @@ def test_the_real_zed_file(shared_data: Path) -> None:
     assert hd.left.focal_px == (700.895, 700.895)
     assert hd.right.principal_point_px == (639.74, 374.974)
     assert hd.t_right_left.tolist() == [-0.12, 0, 0]
-    assert (hd.R_right_left[2, 1] - hd.R_right_left[1, 2]) / 2 == pytest.approx(0.00612931, rel=1e-4)
+    assert (hd.R_right_left[2, 1] - hd.R_right_left[1, 2]) / 2 == pytest.approx(
+        0.00612931, rel=1e-4
+    )
     assert load(path, image_size=(2208, 1242)).left.principal_point_px == (1158.08, 646.31)
     message = refused(path)
     assert all(word in message for word in ("2K (2208×1242)", "VGA (672×376)", "--size"))
@@ -144,7 +160,9 @@ def test_a_broken_zed_file_is_refused_by_name(tmp_path: Path, fault: str) -> Non
     ],
 )
 def test_opencv_spellings(tmp_path: Path, names: dict[str, str]) -> None:
-    assert same(example_rig(), load(write_opencv(example_rig(), tmp_path / "camera.yml", names)), 1e-11)
+    assert same(
+        example_rig(), load(write_opencv(example_rig(), tmp_path / "camera.yml", names)), 1e-11
+    )
 
 
 def test_opencv_units_are_said_not_guessed(tmp_path: Path) -> None:
@@ -156,7 +174,9 @@ def test_opencv_units_are_said_not_guessed(tmp_path: Path) -> None:
 
 def test_opencv_without_a_size_asks_for_it(tmp_path: Path) -> None:
     path = write_opencv(example_rig(), tmp_path / "camera.yml")
-    path.write_text("\n".join(line for line in path.read_text().splitlines() if "image_" not in line) + "\n")
+    path.write_text(
+        "\n".join(line for line in path.read_text().splitlines() if "image_" not in line) + "\n"
+    )
     assert "--size" in refused(path)
     assert same(example_rig(), load(path, image_size=SIZE), 1e-11)
 
@@ -175,7 +195,9 @@ OPENCV_FAULTS = {
 @pytest.mark.parametrize("fault", OPENCV_FAULTS)
 def test_a_broken_opencv_file_is_refused_by_name(tmp_path: Path, fault: str) -> None:
     key, value, word = OPENCV_FAULTS[fault]
-    assert word in refused(write_opencv(example_rig(), tmp_path / "camera.yml", changes={key: value}))
+    assert word in refused(
+        write_opencv(example_rig(), tmp_path / "camera.yml", changes={key: value})
+    )
 
 
 def test_a_cut_opencv_file_and_one_eye_alone_are_refused(tmp_path: Path, shared_data: Path) -> None:
@@ -187,7 +209,10 @@ def test_a_cut_opencv_file_and_one_eye_alone_are_refused(tmp_path: Path, shared_
 
 ROS_FAULTS = {
     "uncalibrated": ({"camera_matrix": [0.0] * 9}, "never calibrated"),
-    "eyes exchanged": ({"projection_matrix": [500.0, 0, 640, -160, 0, 500, 360, 0, 0, 0, 1, 0]}, "swapped"),
+    "eyes exchanged": (
+        {"projection_matrix": [500.0, 0, 640, -160, 0, 500, 360, 0, 0, 0, 1, 0]},
+        "swapped",
+    ),
     "another model": ({"distortion_model": "weird"}, "weird"),
     "no rotation": ({"rectification_matrix": [2.0, 0, 0, 0, 2, 0, 0, 0, 2]}, "orthonormal"),
     "short": ({"camera_matrix": [1.0, 2.0]}, "9 numbers"),
@@ -245,7 +270,9 @@ def test_ros_message_spelling(tmp_path: Path) -> None:
         ("camchain-bb2_bb3_pancam.yaml", (0, 1), 119.3),
     ],
 )
-def test_real_kalibr_chains(shared_data: Path, file: str, eyes: tuple[int, int], baseline_mm: float) -> None:
+def test_real_kalibr_chains(
+    shared_data: Path, file: str, eyes: tuple[int, int], baseline_mm: float
+) -> None:
     rig = load(shared_data / "calib" / file, eyes=eyes)
     assert 1000 * np.linalg.norm(rig.t_right_left) == pytest.approx(baseline_mm, abs=0.06)
     assert make_rectifier(rig).rig.baseline_m == pytest.approx(np.linalg.norm(rig.t_right_left))
@@ -271,25 +298,36 @@ KALIBR_FAULTS = {
 @pytest.mark.parametrize("fault", KALIBR_FAULTS)
 def test_a_broken_kalibr_file_is_refused_by_name(tmp_path: Path, fault: str) -> None:
     old, new, word = KALIBR_FAULTS[fault]
-    eyes = [replace(eye, distortion=eye.distortion[:4]) for eye in (example_rig().left, example_rig().right)]
-    path = write_kalibr(replace(example_rig(), left=eyes[0], right=eyes[1]), tmp_path / "camchain.yaml")
+    eyes = [
+        replace(eye, distortion=eye.distortion[:4])
+        for eye in (example_rig().left, example_rig().right)
+    ]
+    path = write_kalibr(
+        replace(example_rig(), left=eyes[0], right=eyes[1]), tmp_path / "camchain.yaml"
+    )
     assert word in refused(edit(path, old, new))
 
 
 def test_real_middlebury_files_with_stray_spaces(shared_data: Path) -> None:
-    rig = make_rectifier(load(shared_data / "stereo_gt/middlebury_v3_quarter/Adirondack/calib.txt")).rig
+    rig = make_rectifier(
+        load(shared_data / "stereo_gt/middlebury_v3_quarter/Adirondack/calib.txt")
+    ).rig
     assert (rig.fx, rig.cx, rig.doffs_px) == pytest.approx((1038.018, 322.037, 53.271))
     assert rig.baseline_m == pytest.approx(0.176252)
     assert rig.depth(20.0) == pytest.approx(1038.018 * 0.176252 / 73.271)
 
 
 def test_all_real_middlebury_and_eth3d_files_load(shared_data: Path) -> None:
-    files = sorted(shared_data.glob("calib/*/*/calib.txt")) + sorted(shared_data.glob("stereo_gt/*/*/calib.txt"))
+    files = sorted(shared_data.glob("calib/*/*/calib.txt")) + sorted(
+        shared_data.glob("stereo_gt/*/*/calib.txt")
+    )
     assert len(files) >= 11
     assert all(load(file).images == "rectified" for file in files)
 
 
-MIDDLEBURY = "cam0=[999.4 0 294.2; 0 999.4 252.9; 0 0 1]\ncam1=[999.4 0 327.0; 0 999.4 252.9; 0 0 1]\n"
+MIDDLEBURY = (
+    "cam0=[999.4 0 294.2; 0 999.4 252.9; 0 0 1]\ncam1=[999.4 0 327.0; 0 999.4 252.9; 0 0 1]\n"
+)
 MIDDLEBURY += "doffs=32.8\nbaseline=193.001\nwidth=741\nheight=497\nndisp=70\n"
 MIDDLEBURY_FAULTS = {
     "doffs ignored": ("doffs=32.8", "doffs=0", "doffs"),
@@ -345,7 +383,9 @@ def test_a_damaged_file_is_an_error_or_a_calibration_never_a_crash(
     WRITERS[name](path)
     text = path.read_text()
     start = data.draw(st.integers(0, len(text) - 1))
-    piece = data.draw(st.sampled_from(["", "nan", "1e400", "-", "[", "}", "<", ":", "\n", "*a", "null", "x" * 50]))
+    piece = data.draw(
+        st.sampled_from(["", "nan", "1e400", "-", "[", "}", "<", ":", "\n", "*a", "null", "x" * 50])
+    )
     path.write_text(text[:start] + piece + text[start + data.draw(st.integers(0, 40)) :])
     with contextlib.suppress(CalibrationError):
         read = load(path, image_size=SIZE)

@@ -1,4 +1,5 @@
-"""Calibration files of real tools and real people: each kind, with its right value, from ../shared/data."""
+"""Calibration files of real tools and real people: each kind, with its right value, from
+../shared/data."""
 
 import gzip
 import logging
@@ -31,8 +32,11 @@ PRISM = (*RATIONAL, 0.001, -0.0002, 0.0005, 0.0001)
 FISHEYE = (0.02, -0.003, 0.001, -0.0002)
 
 
-def check_truth(rig: StereoCalibration, left: tuple, right: tuple, tolerance: float = 1e-15) -> None:
-    """The one rig behind all files of `surprises/calibrations-*`, to the last digit that its format keeps."""
+def check_truth(
+    rig: StereoCalibration, left: tuple, right: tuple, tolerance: float = 1e-15
+) -> None:
+    """The one rig behind all files of `surprises/calibrations-*`, to the last digit that its format
+    keeps."""
     assert rig.image_size == SIZE
     for eye, lens, focal, centre in zip(
         (rig.left, rig.right), (left, right), TRUTH["focal"], TRUTH["centre"], strict=True
@@ -40,7 +44,9 @@ def check_truth(rig: StereoCalibration, left: tuple, right: tuple, tolerance: fl
         np.testing.assert_allclose(eye.focal_px, focal, rtol=tolerance)
         np.testing.assert_allclose(eye.principal_point_px, centre, rtol=tolerance)
         np.testing.assert_allclose(eye.distortion, lens, rtol=10 * tolerance, atol=tolerance)
-    np.testing.assert_allclose(rotation_vector(rig.R_right_left), TRUTH["turn"], atol=max(tolerance, 1e-12))
+    np.testing.assert_allclose(
+        rotation_vector(rig.R_right_left), TRUTH["turn"], atol=max(tolerance, 1e-12)
+    )
     np.testing.assert_allclose(rig.t_right_left, TRUTH["shift"], rtol=tolerance, atol=tolerance)
 
 
@@ -54,7 +60,11 @@ FILES = {
     "calibrations-04-opencv-base64-gz/v_b64.xml": (LEFT, RIGHT, 1e-15),
     "calibrations-04-opencv-base64-gz/calib.yml.gz": (LEFT, RIGHT, 1e-15),
     "calibrations-05-opencv-12-14/v_d12.yml": (LEFT + PRISM, RIGHT + PRISM, 1e-15),
-    "calibrations-05-opencv-12-14/v_d14.yml": (LEFT + PRISM + (0.001, 0.002), RIGHT + PRISM + (0.001, 0.002), 1e-15),
+    "calibrations-05-opencv-12-14/v_d14.yml": (
+        LEFT + PRISM + (0.001, 0.002),
+        RIGHT + PRISM + (0.001, 0.002),
+        1e-15,
+    ),
     f"{PEERS}/simplestereo.json": (LEFT, RIGHT, 1e-15),
     f"{PEERS}/calibrating.yaml": (LEFT, RIGHT, 1e-15),
     f"{PEERS}/aniposelib.toml": (LEFT, RIGHT, 1e-15),
@@ -72,7 +82,9 @@ FILES = {
 
 
 @pytest.mark.parametrize("file", FILES)
-def test_a_known_rig_comes_out_of_each_tool_s_file(file: str, shared_data: Path, tmp_path: Path) -> None:
+def test_a_known_rig_comes_out_of_each_tool_s_file(
+    file: str, shared_data: Path, tmp_path: Path
+) -> None:
     left, right, tolerance = FILES[file]
     rig = load(shared_data / "surprises" / file)
     check_truth(rig, left, right, tolerance)
@@ -82,7 +94,9 @@ def test_a_known_rig_comes_out_of_each_tool_s_file(file: str, shared_data: Path,
     assert make_rectifier(rig).rig.baseline_m == pytest.approx(0.12, rel=1e-6)
 
 
-@pytest.mark.parametrize("file", ["camchain-183deg.yaml", "camchain-175deg.yaml", "camchain-848x800.yaml"])
+@pytest.mark.parametrize(
+    "file", ["camchain-183deg.yaml", "camchain-175deg.yaml", "camchain-848x800.yaml"]
+)
 def test_calibrations_02_fisheye_no_view(file: str, shared_data: Path) -> None:
     calibration = load(shared_data / "surprises/calibrations-02-fisheye-no-view" / file)
     rig = make_rectifier(calibration).rig
@@ -93,7 +107,9 @@ def test_calibrations_02_fisheye_no_view(file: str, shared_data: Path) -> None:
 
 
 def test_a_fisheye_plane_shows_what_the_lens_sees(shared_data: Path) -> None:
-    calibration = load(shared_data / "surprises/calibrations-02-fisheye-no-view/camchain-183deg.yaml")
+    calibration = load(
+        shared_data / "surprises/calibrations-02-fisheye-no-view/camchain-183deg.yaml"
+    )
     rectifier = make_rectifier(calibration)
     assert rectifier.left is not None
     x, y = (plane[rectifier.rig.height // 2, rectifier.rig.width // 2] for plane in rectifier.left)
@@ -104,22 +120,28 @@ def test_a_fisheye_plane_shows_what_the_lens_sees(shared_data: Path) -> None:
 
 KINDS = {
     "01-zed-fisheye-yml/zed_calibration_10000001.yml": (
-        {"unit_m": 0.001}, "equidistant", (-0.021, 0.004, -0.0031, 0.0006), (-0.1201, 0.00012, -0.00031),
+        {"unit_m": 0.001}, "equidistant", (-0.021, 0.004, -0.0031, 0.0006),
+        (-0.1201, 0.00012, -0.00031),
     ),
     "01-zed-fisheye-yml/zed_calibration_10000002.yml": (
-        {"unit_m": 0.001}, "pinhole", (-0.172, 0.027, 0.0004, -0.0002, 0.001), (-0.1201, 0.00012, -0.00031),
+        {"unit_m": 0.001}, "pinhole", (-0.172, 0.027, 0.0004, -0.0002, 0.001),
+        (-0.1201, 0.00012, -0.00031),
     ),
     "01-zed-fisheye-yml/names.yml": (
-        {"image_size": SIZE}, "pinhole", (-0.172, 0.027, 0.0004, -0.0002, 0.001), (-0.1201, 0.00012, -0.00031),
+        {"image_size": SIZE}, "pinhole", (-0.172, 0.027, 0.0004, -0.0002, 0.001),
+        (-0.1201, 0.00012, -0.00031),
     ),
     "01-zed-fisheye-yml/one_eye.yml": (
-        {"image_size": SIZE}, "pinhole", (-0.172, 0.027, 0.0004, -0.0002, 0.001), (-0.1201, 0.00012, -0.00031),
+        {"image_size": SIZE}, "pinhole", (-0.172, 0.027, 0.0004, -0.0002, 0.001),
+        (-0.1201, 0.00012, -0.00031),
     ),
     "01-zed-fisheye-yml/raw_fish_right_names.yml": (
-        {"unit_m": 0.001, "projection": "equidistant"}, "equidistant", (-0.02, 0.004, -0.003, 0.0006), (-0.12, 0, 0),
+        {"unit_m": 0.001, "projection": "equidistant"}, "equidistant",
+        (-0.02, 0.004, -0.003, 0.0006), (-0.12, 0, 0),
     ),
     "02-zed-conf-fisheye/SN30000001.conf": (
-        {"image_size": (1920, 1200)}, "equidistant", (0.0412, -0.0117, 0.0031, -0.0008), (-0.11983, 0.00011, -0.00022),
+        {"image_size": (1920, 1200)}, "equidistant", (0.0412, -0.0117, 0.0031, -0.0008),
+        (-0.11983, 0.00011, -0.00022),
     ),
     "02-zed-conf-fisheye/SN30000003.conf": (
         {"image_size": (1920, 1200)}, "pinhole",
@@ -135,21 +157,27 @@ KINDS = {
     "04-camera-info-d-lengths/fisheye/left.yaml": (
         {}, "equidistant", (0.02, -0.01, 0.003, 0.0004), (-60 / 799.1, 0, 0),
     ),
-    "04-camera-info-d-lengths/plumb4/left.yaml": ({}, "pinhole", (-0.17, 0.03, 0.0001, 0.0002), (-60 / 799.1, 0, 0)),
+    "04-camera-info-d-lengths/plumb4/left.yaml": ({}, "pinhole", (-0.17, 0.03, 0.0001, 0.0002),
+    (-60 / 799.1, 0, 0)),
     "04-camera-info-d-lengths/plumb8/left.yaml": (
         {}, "pinhole", (-0.0306, 0.0352, -0.00014, -0.00015, -0.012), (-60 / 799.1, 0, 0),
     ),
-    "04-camera-info-d-lengths/rational5/left.yaml": ({}, "pinhole", (-0.17, 0.03, 0.0001, 0.0002), (-60 / 799.1, 0, 0)),
+    "04-camera-info-d-lengths/rational5/left.yaml": ({}, "pinhole", (-0.17, 0.03, 0.0001, 0.0002),
+    (-60 / 799.1, 0, 0)),
     "04-camera-info-d-lengths/rational12/left.yaml": (
-        {}, "pinhole", (-4.12, 13.9, 0.0006, -0.0003, -12.1, -4.2, 14.2, -12.6, 0.001, -0.0002, 0.0003),
+        {}, "pinhole", (-4.12, 13.9, 0.0006, -0.0003, -12.1, -4.2, 14.2, -12.6, 0.001, -0.0002,
+        0.0003),
         (-60 / 799.1, 0, 0),
     ),
     "04-camera-info-d-lengths/rational14zeros/left.yaml": (
-        {}, "pinhole", (-4.12, 13.9, 0.0006, -0.0003, -12.1, -4.2, 14.2, -12.6), (-60 / 799.1, 0, 0),
+        {}, "pinhole", (-4.12, 13.9, 0.0006, -0.0003, -12.1, -4.2, 14.2, -12.6),
+        (-60 / 799.1, 0, 0),
     ),
-    "04-camera-info-d-lengths/thinprism/left.yaml": ({"images": "rectified"}, "pinhole", (), (-60 / 799.1, 0, 0)),
+    "04-camera-info-d-lengths/thinprism/left.yaml": ({"images": "rectified"}, "pinhole", (),
+    (-60 / 799.1, 0, 0)),
     "05-kitti-left-p/grey/left.yaml": ({}, "pinhole", (), (-387.5744 / 721.5377, 0, 0)),
-    "05-kitti-left-p/colour/left.yaml": ({}, "pinhole", (), (-(339.5242 + 44.85728) / 721.5377, 0, 0)),
+    "05-kitti-left-p/colour/left.yaml": ({}, "pinhole", (),
+    (-(339.5242 + 44.85728) / 721.5377, 0, 0)),
 }  # fmt: skip
 
 
@@ -164,13 +192,16 @@ def test_files_of_public_reports(file: str, shared_data: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "file", ["real/kalibr_imucam_chain.yaml", "nohead.yaml", "kalibr.yaml", "anchors.yaml", "cam_imu_only.yaml",
+    "file", ["real/kalibr_imucam_chain.yaml", "nohead.yaml", "kalibr.yaml", "anchors.yaml",
+    "cam_imu_only.yaml",
              "EuRoC.yaml", "orb3.yaml"]
 )  # fmt: skip
 def test_06_openvins_chain(file: str, shared_data: Path) -> None:
     rig = load(shared_data / "reports/06-openvins-chain" / file)
     np.testing.assert_allclose(rig.t_right_left, (-0.110074, 0.000399, -0.000854), atol=1e-6)
-    np.testing.assert_allclose(rotation_vector(rig.R_right_left), (-0.014091, 0.000360, -0.002315), atol=1e-6)
+    np.testing.assert_allclose(
+        rotation_vector(rig.R_right_left), (-0.014091, 0.000360, -0.002315), atol=1e-6
+    )
     assert rig.left.distortion[0] == -0.28340811
 
 
@@ -204,19 +235,36 @@ def test_09_calib_other_size(shared_data: Path) -> None:
     for wrong in ((1280, 720), (640, 360), (2560, 1440)):
         with pytest.raises(CalibrationError, match=r"1920×1080|outside"):
             load(folder / "made_at_1920x1080.yml", image_size=wrong)
-    assert load(folder / "made_at_1920x1080.yml", image_size=(1920, 1080)).left.principal_point_px[1] == 542.55
-    assert load(folder / "squares_of_25mm.yml", unit_m=0.025).t_right_left[0] == pytest.approx(-0.12)
+    assert (
+        load(folder / "made_at_1920x1080.yml", image_size=(1920, 1080)).left.principal_point_px[1]
+        == 542.55
+    )
+    assert load(folder / "squares_of_25mm.yml", unit_m=0.025).t_right_left[0] == pytest.approx(
+        -0.12
+    )
 
 
-@pytest.mark.parametrize("name", ["xi", "D_LEFT_EXTRA", "lens_k4", "fisheye_coeffs", "radial1", "k7", "distortion_b"])
+@pytest.mark.parametrize(
+    "name", ["xi", "D_LEFT_EXTRA", "lens_k4", "fisheye_coeffs", "radial1", "k7", "distortion_b"]
+)
 def test_a_lens_entry_that_is_not_understood_is_never_dropped(name: str, tmp_path: Path) -> None:
-    path = write_opencv(example_rig(), tmp_path / "camera.yml", changes={name: np.array([[0.1, 0.2, 0.3]])})
+    path = write_opencv(
+        example_rig(), tmp_path / "camera.yml", changes={name: np.array([[0.1, 0.2, 0.3]])}
+    )
     with pytest.raises(CalibrationError, match=name):
         load(path)
 
 
 CORPUS = Path(__file__).parent / "fuzz" / "corpus"
-LENS_KEYS = ("lens_k4", "distortion_extra", "D_LEFT_FE2", "radial_coefficients", "kannala", "s5", "xi")
+LENS_KEYS = (
+    "lens_k4",
+    "distortion_extra",
+    "D_LEFT_FE2",
+    "radial_coefficients",
+    "kannala",
+    "s5",
+    "xi",
+)
 LINES = {
     "native": ("raw.yaml", "left:\n", "left:\n  {key}: {value}\n"),
     "zed": ("SN1.conf", "[LEFT_CAM_HD]\n", "[LEFT_CAM_HD]\n{key}=0.25\n"),
@@ -240,7 +288,8 @@ LINES = {
 def test_no_reader_drops_one_unknown_lens_entry(
     reader: str, key: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """A file with one more entry that looks like distortion: an error or a line that names it, or another rig."""
+    """A file with one more entry that looks like distortion: an error or a line that names it, or
+    another rig."""
     name, old, new = LINES[reader]
     for file in (CORPUS.parent / "beside").iterdir():
         shutil.copyfile(file, tmp_path / file.name)
@@ -264,7 +313,11 @@ def test_no_reader_drops_one_unknown_lens_entry(
 
 
 def test_two_sets_of_coefficients_that_differ_are_refused(tmp_path: Path) -> None:
-    path = write_opencv(example_rig(), tmp_path / "camera.yml", changes={"distCoeffs1": np.array([[0.1, 0, 0, 0, 0]])})
+    path = write_opencv(
+        example_rig(),
+        tmp_path / "camera.yml",
+        changes={"distCoeffs1": np.array([[0.1, 0, 0, 0, 0]])},
+    )
     with pytest.raises(CalibrationError, match="two D1 that differ"):
         load(path)
 
@@ -295,7 +348,9 @@ def test_an_hdf5_or_npz_file_is_called_by_its_name(tmp_path: Path) -> None:
 
 def test_a_baseline_of_a_metre_and_more_needs_the_unit(tmp_path: Path) -> None:
     rig = example_rig()
-    path = write_opencv(rig, tmp_path / "camera.yml", changes={"T": 10 * rig.t_right_left.reshape(3, 1)})
+    path = write_opencv(
+        rig, tmp_path / "camera.yml", changes={"T": 10 * rig.t_right_left.reshape(3, 1)}
+    )
     with pytest.raises(CalibrationError, match=r"--unit dm \(0.12 m\)"):
         load(path)
     assert load(path, unit_m=1.0).t_right_left[0] == pytest.approx(-1.2)
@@ -303,7 +358,8 @@ def test_a_baseline_of_a_metre_and_more_needs_the_unit(tmp_path: Path) -> None:
 
 
 def test_21_bag_topics_b_roi(shared_data: Path) -> None:
-    """The image is a window of the sensor: what is left of cx, cy is read off the message itself."""
+    """The image is a window of the sensor: what is left of cx, cy is read off the message
+    itself."""
     pytest.importorskip("rosbags")
     from stereo_ore.io.recordings import open_source
 
@@ -329,11 +385,15 @@ def test_a_window_and_binning_move_the_principal_point(tmp_path: Path) -> None:
     roi = {"x_offset": 100, "y_offset": 60, "width": 1000, "height": 560}
     part = load(window(tmp_path, roi=roi))
     assert part.image_size == (1000, 560)
-    assert part.left.principal_point_px == pytest.approx(np.subtract(whole.left.principal_point_px, (100, 60)))
+    assert part.left.principal_point_px == pytest.approx(
+        np.subtract(whole.left.principal_point_px, (100, 60))
+    )
     assert part.left.focal_px == whole.left.focal_px
     binned = load(window(tmp_path, roi=roi, binning_x=2, binning_y=2))
     assert binned.image_size == (500, 280)
-    assert binned.left.principal_point_px == pytest.approx(np.divide(part.left.principal_point_px, 2))
+    assert binned.left.principal_point_px == pytest.approx(
+        np.divide(part.left.principal_point_px, 2)
+    )
     assert binned.left.focal_px == pytest.approx(np.divide(whole.left.focal_px, 2))
     np.testing.assert_allclose(binned.t_right_left, whole.t_right_left, atol=1e-12)
     ambiguous = {"x_offset": 100, "y_offset": 60, "width": 1280, "height": 720}
@@ -349,6 +409,8 @@ def test_a_file_of_blank_lines_takes_no_longer_than_it_is_long(tmp_path: Path) -
     assert time.process_time() - start < 20
 
 
-def test_an_entry_whose_name_is_a_number_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_an_entry_whose_name_is_a_number_is_told(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     tell_unread(tmp_path / "camchain.yaml", {0: 3, "note": 0})
     assert "entries not understood: 0" in caplog.text

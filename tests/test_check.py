@@ -22,7 +22,12 @@ from stereo_ore.calibrate.check import (
 )
 from stereo_ore.calibrate.check_report import draw, report
 from stereo_ore.calibrate.points import rectify_points, triangulate
-from stereo_ore.calibrate.residual import RowResidual, match_features, residual_of_matches, vertical_residual
+from stereo_ore.calibrate.residual import (
+    RowResidual,
+    match_features,
+    residual_of_matches,
+    vertical_residual,
+)
 from stereo_ore.errors import CalibrationError
 from stereo_ore.io.calibration import save
 from stereo_ore.io.calibration.geometry import make_calibration, rotation_vector
@@ -47,20 +52,26 @@ MISREADINGS: dict[str, StereoCalibration] = {
 def points(count: int = 600) -> np.ndarray:
     """Points that fill the left image, 1.5 to 5 m away."""
     rng, rig = np.random.default_rng(3), make_rectifier(TRUTH).rig
-    return rig.back_project(*rng.uniform((20, 20), (1260, 700), (count, 2)).T, rng.uniform(1.5, 5.0, count))
+    return rig.back_project(
+        *rng.uniform((20, 20), (1260, 700), (count, 2)).T, rng.uniform(1.5, 5.0, count)
+    )
 
 
 def matches(noise_px: float = 0.3, wrong: float = 0.1) -> tuple[np.ndarray, np.ndarray]:
     """Recorded pixels of both eyes, some of them matched wrongly."""
     rng = np.random.default_rng(4)
-    left, right = (px + rng.normal(0, noise_px, px.shape) for px in rectified_to_raw(TRUTH, points()))
+    left, right = (
+        px + rng.normal(0, noise_px, px.shape) for px in rectified_to_raw(TRUTH, points())
+    )
     bad = rng.random(len(left)) < wrong
     right[bad] = rng.uniform((0, 0), (1280, 720), (int(bad.sum()), 2))
     return left, right
 
 
 def judged(calibration: StereoCalibration) -> RowResidual:
-    return residual_of_matches(*rectify_points(calibration, *matches()), make_rectifier(calibration).rig)
+    return residual_of_matches(
+        *rectify_points(calibration, *matches()), make_rectifier(calibration).rig
+    )
 
 
 def test_the_right_calibration_leaves_no_row_difference() -> None:
@@ -81,7 +92,9 @@ def test_a_misreading_shows_in_simulated_features(name: str) -> None:
 
 def test_the_implied_turn_is_the_turn_that_was_left_out() -> None:
     residual = judged(MISREADINGS["CV = 0"])
-    assert residual.rotation_rad[1] == pytest.approx(TURN[1], abs=5 * residual.rotation_sigma_rad[1])
+    assert residual.rotation_rad[1] == pytest.approx(
+        TURN[1], abs=5 * residual.rotation_sigma_rad[1]
+    )
     assert residual.rotation_sigma_rad[1] < 3e-4
 
 
@@ -153,7 +166,9 @@ PLANTED = {
 def test_a_misreading_shows_in_real_size_images(name: str, raw_matches: Matches, raw_scene) -> None:
     factor, codes = PLANTED[name]
     truth = raw_scene[1]
-    result = check_matches(raw_matches, with_rotation(truth, rotation_vector(truth.R_right_left) * factor))
+    result = check_matches(
+        raw_matches, with_rotation(truth, rotation_vector(truth.R_right_left) * factor)
+    )
     assert codes <= codes_of(result)
     assert result.verdict == ("wrong" if codes else "good")
 
@@ -166,7 +181,9 @@ def test_swapped_raw_eyes_are_named(raw_matches: Matches, raw_scene) -> None:
 def test_missing_rectification_is_named(raw_matches: Matches, raw_scene) -> None:
     truth = raw_scene[1]
     eye, shift = replace(truth.left, distortion=()), np.array([truth.t_right_left[0], 0, 0])
-    claimed = replace(truth, left=eye, right=eye, R_right_left=np.eye(3), t_right_left=shift, images="rectified")
+    claimed = replace(
+        truth, left=eye, right=eye, R_right_left=np.eye(3), t_right_left=shift, images="rectified"
+    )
     result = check_matches(raw_matches, claimed)
     assert {"ROWS", "MISSING_RECTIFICATION"} <= codes_of(result)
     assert result.verdict == "wrong"
@@ -183,7 +200,9 @@ def test_swapped_rectified_eyes_lie_behind_the_camera(flat_plane_pair) -> None:
     pair = flat_plane_pair.pair
     eye = CameraModel((pair.rig.fx, pair.rig.fy), (pair.rig.cx, pair.rig.cy))
     size, shift = (pair.rig.width, pair.rig.height), (-pair.rig.baseline_m, 0, 0)
-    rig = make_calibration("x", image_size=size, left=eye, right=eye, translation_m=shift, images="rectified")
+    rig = make_calibration(
+        "x", image_size=size, left=eye, right=eye, translation_m=shift, images="rectified"
+    )
     assert check_pair(StereoPair(pair.left, pair.right, name="x", index=0), rig).verdict == "good"
     swapped = check_pair(StereoPair(pair.right, pair.left, name="x", index=0), rig)
     assert [finding.code for finding in swapped.findings if finding.code == "SWAPPED_EYES"]
@@ -197,7 +216,9 @@ def plane_rig(flat_plane_pair) -> tuple[StereoPair, StereoCalibration, list[Know
     pair = flat_plane_pair.pair
     eye = CameraModel((pair.rig.fx, pair.rig.fy), (pair.rig.cx, pair.rig.cy))
     size, shift = (pair.rig.width, pair.rig.height), (-pair.rig.baseline_m, 0, 0)
-    rig = make_calibration("x", image_size=size, left=eye, right=eye, translation_m=shift, images="rectified")
+    rig = make_calibration(
+        "x", image_size=size, left=eye, right=eye, translation_m=shift, images="rectified"
+    )
     known = []
     for u, v in ((60, 30), (240, 160), (440, 290)):
         at = pair.rig.back_project(u, v, flat_plane_pair.depth[v, u])
@@ -209,7 +230,9 @@ def test_known_distances_confirm_a_right_calibration(plane_rig) -> None:
     pair, rig, known = plane_rig
     result = check_pair(pair, rig, known)
     assert result.verdict == "good"
-    assert [point.distance_m for point in result.measured] == pytest.approx([k.distance_m for k in known], rel=0.01)
+    assert [point.distance_m for point in result.measured] == pytest.approx(
+        [k.distance_m for k in known], rel=0.01
+    )
 
 
 @pytest.mark.parametrize("shift", [-3, 2, 16])
@@ -219,7 +242,9 @@ def test_a_constant_offset_is_found_and_mended(plane_rig, shift: int, count: int
     moved = replace(pair, right=np.roll(pair.right, -shift, axis=1))
     result = check_pair(moved, rig, known[:count])
     assert result.verdict == "wrong"
-    assert [finding.code for finding in result.findings if finding.severity == "wrong"] == ["DISPARITY_OFFSET"]
+    assert [finding.code for finding in result.findings if finding.severity == "wrong"] == [
+        "DISPARITY_OFFSET"
+    ]
     assert result.measured[0].offset_px == pytest.approx(-shift, abs=0.3)
     mended = replace(rig, disparity_offset_px=-float(shift))
     assert check_pair(moved, mended, known[:count]).verdict != "wrong"
@@ -227,9 +252,16 @@ def test_a_constant_offset_is_found_and_mended(plane_rig, shift: int, count: int
 
 @pytest.mark.parametrize(
     ("scale", "constant", "code"),
-    [(1.0, 0.1, None), (1.0, 3.0, "DISPARITY_OFFSET"), (0.83, 0.0, "DISPARITY_SCALE"), (1.1, -9.0, "DISPARITY_SCALE")],
+    [
+        (1.0, 0.1, None),
+        (1.0, 3.0, "DISPARITY_OFFSET"),
+        (0.83, 0.0, "DISPARITY_SCALE"),
+        (1.1, -9.0, "DISPARITY_SCALE"),
+    ],
 )
-def test_a_wrong_baseline_is_told_from_an_offset(scale: float, constant: float, code: str | None) -> None:
+def test_a_wrong_baseline_is_told_from_an_offset(
+    scale: float, constant: float, code: str | None
+) -> None:
     measured = [
         Measured(Known(0, 0, 64 / expected), scale * expected + constant, expected, float("nan"))
         for expected in (16.0, 32.0, 64.0)
@@ -248,7 +280,10 @@ def test_a_point_without_texture_or_on_a_pattern_is_refused() -> None:
 def test_an_image_without_features_is_unclear() -> None:
     grey = np.full((720, 1280, 3), 90, np.uint8)
     result = check_pair(StereoPair(grey, grey, name="dark", index=0), rectified_rig())
-    assert (result.verdict, [finding.code for finding in result.findings]) == ("unclear", ["FEW_MATCHES"])
+    assert (result.verdict, [finding.code for finding in result.findings]) == (
+        "unclear",
+        ["FEW_MATCHES"],
+    )
     assert "verdict: unclear" in report(result)
 
 
@@ -300,10 +335,20 @@ def test_the_command_ends_with_3_on_a_bad_verdict(plane_rig, tmp_path: Path) -> 
     scene.mkdir()
     for name, image in (("left", pair.left), ("right", pair.right)):
         cv2.imwrite(str(scene / f"{name}.png"), image)
-    line = ["stereo-ore", "calibrate", "check", scene, "--calib", tmp_path / "camera.yaml", "--known"]
+    line = [
+        "stereo-ore",
+        "calibrate",
+        "check",
+        scene,
+        "--calib",
+        tmp_path / "camera.yaml",
+        "--known",
+    ]
     ends = {}
     for metres in (known[0].distance_m, known[0].distance_m / 2, -1):
-        done = subprocess.run([*line, f"60,30,{metres}"], capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            [*line, f"60,30,{metres}"], capture_output=True, text=True, check=False
+        )
         ends[done.returncode] = done.stdout + done.stderr
     assert "verdict: good" in ends[0]
     assert "DISPARITY_OFFSET" in ends[3]

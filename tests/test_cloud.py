@@ -26,28 +26,42 @@ def box(low: list[float], high: list[float]) -> Volume:
 
 def test_points_lie_on_the_plane_that_made_the_disparities(flat_plane_pair) -> None:
     pair = flat_plane_pair.pair
-    cloud = reproject(certain(flat_plane_pair.disparity, whole(pair.rig)), pair, None, CloudConfig(), SIGMA)
+    cloud = reproject(
+        certain(flat_plane_pair.disparity, whole(pair.rig)), pair, None, CloudConfig(), SIGMA
+    )
     assert len(cloud) == flat_plane_pair.disparity.size
-    np.testing.assert_allclose(cloud.xyz @ flat_plane_pair.normal, flat_plane_pair.offset, atol=1e-5)
+    np.testing.assert_allclose(
+        cloud.xyz @ flat_plane_pair.normal, flat_plane_pair.offset, atol=1e-5
+    )
     np.testing.assert_array_equal(cloud.bgr, pair.left.reshape(-1, 3))
-    np.testing.assert_allclose(cloud.sigma_z, pair.rig.depth_sigma(cloud.xyz[:, 2], SIGMA), rtol=1e-5)
+    np.testing.assert_allclose(
+        cloud.sigma_z, pair.rig.depth_sigma(cloud.xyz[:, 2], SIGMA), rtol=1e-5
+    )
 
 
 def test_doffs_enters_the_depth() -> None:
     rig = Rig(4, 3, 100.0, 100.0, 2.0, 1.0, 0.1, doffs_px=5.0)
     image = np.zeros((3, 4, 3), np.uint8)
     values = np.full((3, 4), -4.0, np.float32)
-    cloud = reproject(certain(values, whole(rig)), RectifiedPair(image, image, rig), None, CloudConfig(), SIGMA)
+    cloud = reproject(
+        certain(values, whole(rig)), RectifiedPair(image, image, rig), None, CloudConfig(), SIGMA
+    )
     np.testing.assert_allclose(cloud.xyz[:, 2], 10.0)
 
 
-@given(st.lists(st.sampled_from([np.nan, -3.0, 0.0, 1e-3, 0.6, 5.0, 60.0]), min_size=12, max_size=12))
+@given(
+    st.lists(st.sampled_from([np.nan, -3.0, 0.0, 1e-3, 0.6, 5.0, 60.0]), min_size=12, max_size=12)
+)
 @settings(deadline=None)
-def test_only_pixels_with_a_finite_positive_depth_in_range_become_points(disparities: list[float]) -> None:
+def test_only_pixels_with_a_finite_positive_depth_in_range_become_points(
+    disparities: list[float],
+) -> None:
     rig = Rig(4, 3, 100.0, 100.0, 2.0, 1.0, 0.1)
     values = np.array(disparities, np.float32).reshape(3, 4)
     image = np.arange(36, dtype=np.uint8).reshape(3, 4, 3)
-    cloud = reproject(certain(values, whole(rig)), RectifiedPair(image, image, rig), None, CloudConfig(), SIGMA)
+    cloud = reproject(
+        certain(values, whole(rig)), RectifiedPair(image, image, rig), None, CloudConfig(), SIGMA
+    )
     expected = [i for i, d in enumerate(disparities) if d > 0 and 10 / np.float32(d) <= 20]
     assert cloud.pixel.tolist() == expected
     assert np.isfinite(cloud.xyz).all()

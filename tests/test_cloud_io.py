@@ -1,4 +1,5 @@
-"""Cloud files: every format there and back, every damage named, nothing allocated on a header's word."""
+"""Cloud files: every format there and back, every damage named, nothing allocated on a header's
+word."""
 
 import io
 import struct
@@ -19,7 +20,9 @@ def records(points: int = 7) -> clouds.Records:
     rng = np.random.default_rng(0)
     colours = {name: rng.integers(0, 256, points, np.uint8) for name in ("red", "green", "blue")}
     normals = {name: rng.normal(size=points).astype(np.float32) for name in ("nx", "ny", "nz")}
-    return clouds.from_columns({axis: rng.normal(size=points) for axis in "xyz"} | normals | colours)
+    return clouds.from_columns(
+        {axis: rng.normal(size=points) for axis in "xyz"} | normals | colours
+    )
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".pcd", ".csv", ".npy", ".npz"])
@@ -31,7 +34,10 @@ def test_there_and_back_keeps_every_column(suffix: str, points: int, tmp_path: P
     assert got.dtype.names == wanted.dtype.names
     if suffix == ".pcd":  # coordinates and normals have 4 bytes there
         wanted = wanted.astype(
-            [(n, "f4" if kind == np.float64 else kind) for n, (kind, _) in wanted.dtype.fields.items()]
+            [
+                (n, "f4" if kind == np.float64 else kind)
+                for n, (kind, _) in wanted.dtype.fields.items()
+            ]
         )
     for name in wanted.dtype.names or ():
         np.testing.assert_array_equal(got[name].astype(wanted.dtype[name]), wanted[name])
@@ -65,7 +71,8 @@ def test_real_files(shared_data: Path) -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["1 2 3\n4 5 6\n", "1,2,3\n4,5,6\n", "1;2;3\n4;5;6\n", "x,y,z\n1,2,3\n4,5,6\n", "# by hand\n1\t2\t3\n\n4 5 6\n",
+    ["1 2 3\n4 5 6\n", "1,2,3\n4,5,6\n", "1;2;3\n4;5;6\n", "x,y,z\n1,2,3\n4,5,6\n",
+    "# by hand\n1\t2\t3\n\n4 5 6\n",
      "X Y Z\n1 2 3\n4 5 6", "z,y,x\n3,2,1\n6,5,4\n", "\ufeff1 2 3\n4 5 6\n"],
 )  # fmt: skip
 def test_text_layouts(text: str, tmp_path: Path) -> None:
@@ -81,7 +88,9 @@ def test_ascii_and_big_endian_ply_with_an_element_before_the_vertices(tmp_path: 
     head += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
     path.write_text(head.format("ascii") + "9\n1 2 3 255\n4 5 6 0\n3 0 1 1\n")
     ascii_ = clouds.read(path)
-    body = struct.pack(">f", 9) + struct.pack(">fffB", 1, 2, 3, 255) + struct.pack(">fffB", 4, 5, 6, 0)
+    body = (
+        struct.pack(">f", 9) + struct.pack(">fffB", 1, 2, 3, 255) + struct.pack(">fffB", 4, 5, 6, 0)
+    )
     path.write_bytes(head.format("binary_big_endian").encode() + body)
     for got in (ascii_, clouds.read(path)):
         np.testing.assert_array_equal(clouds.xyz(got), [[1, 2, 3], [4, 5, 6]])
@@ -91,8 +100,8 @@ def test_ascii_and_big_endian_ply_with_an_element_before_the_vertices(tmp_path: 
 def test_pcd_with_padding_and_vectors(tmp_path: Path) -> None:
     path = tmp_path / "cloud.pcd"
     path.write_text(
-        "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z _ h\nSIZE 4 4 4 1 4\nTYPE F F F U F\nCOUNT 1 1 1 1 2\n"
-        "WIDTH 2\nHEIGHT 1\nPOINTS 2\nDATA ascii\n1 2 3 0 7 8\n4 5 6 0 9 10\n"
+        "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z _ h\nSIZE 4 4 4 1 4\nTYPE F F F U F\nCOUNT 1 1 1 1"
+        " 2\nWIDTH 2\nHEIGHT 1\nPOINTS 2\nDATA ascii\n1 2 3 0 7 8\n4 5 6 0 9 10\n"
     )
     got = clouds.read(path)
     np.testing.assert_array_equal(clouds.xyz(got), [[1, 2, 3], [4, 5, 6]])
@@ -101,19 +110,24 @@ def test_pcd_with_padding_and_vectors(tmp_path: Path) -> None:
 
 PLY = "ply\nformat {format} 1.0\nelement vertex {count}\n"
 PLY += "".join(f"property float {axis}\n" for axis in "xyz") + "end_header\n"
-PCD = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nPOINTS {count}\nDATA {data}\n"
+PCD = (
+    "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nPOINTS {count}\nDATA {data}\n"
+)
 
 
 def npy(shape: tuple[int, ...], dtype: str = "<f8") -> bytes:
     file = io.BytesIO()
-    np.lib.format.write_array_header_1_0(file, {"descr": dtype, "fortran_order": False, "shape": shape})
+    np.lib.format.write_array_header_1_0(
+        file, {"descr": dtype, "fortran_order": False, "shape": shape}
+    )
     return file.getvalue()
 
 
 DAMAGED = {
     "huge.ply": (PLY.format(format="binary_little_endian", count=10**12).encode(), "claims"),
     "huge-ascii.ply": (PLY.format(format="ascii", count=10**12).encode() + b"1 2 3\n", "claims"),
-    "short.ply": (PLY.format(format="ascii", count=3).encode() + b"1 2 3\n4 5 6             \n", "the header says 3"),
+    "short.ply": (PLY.format(format="ascii", count=3).encode() + b"1 2 3\n4 5 6             \n",
+    "the header says 3"),
     "words.ply": (PLY.format(format="ascii", count=1).encode() + b"one two three\n", "not numbers"),
     "format.ply": (PLY.format(format="binary_middle", count=1).encode(), "is none of"),
     "nothing.ply": (b"", "does not begin"),
@@ -121,9 +135,11 @@ DAMAGED = {
     "vertexless.ply": (b"ply\nformat ascii 1.0\nelement face 0\nend_header\n", "no vertex"),
     "count.ply": (PLY.format(format="ascii", count=-5).encode(), "not 'element NAME COUNT'"),
     "list.ply": (
-        b"ply\nformat ascii 1.0\nelement vertex 1\nproperty list uchar int a\nend_header\n1 2\n", "list property",
+        b"ply\nformat ascii 1.0\nelement vertex 1\nproperty list uchar int a\nend_header\n1 2\n",
+        "list property",
     ),
-    "flat.ply": (b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n", "no column y"),
+    "flat.ply": (b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n",
+    "no column y"),
     "huge.pcd": (PCD.format(count=10**13, data="binary").encode(), "claims"),
     "huge-ascii.pcd": (PCD.format(count=10**13, data="ascii").encode(), "claims"),
     "packed.pcd": (PCD.format(count=1, data="binary_compressed").encode(), "claims"),
@@ -160,7 +176,9 @@ def test_damaged_files_are_clear_errors_and_cost_no_memory(name: str, tmp_path: 
     assert name in str(fault.value)
 
 
-def test_npz_that_unpacks_to_more_than_allowed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_npz_that_unpacks_to_more_than_allowed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("stereo_ore.io.npz_io.MAX_UNPACKED_BYTES", 1000)
     path = tmp_path / "bomb.npz"
     np.savez_compressed(path, xyz=np.zeros((1000, 3)))
@@ -189,7 +207,12 @@ def test_npz_with_a_broken_member(tmp_path: Path) -> None:
 
 def test_voxels_of_a_run_can_be_read(tmp_path: Path) -> None:
     path = tmp_path / "stages.npz"
-    np.savez(path, voxel_xyz=np.ones((4, 3), np.float32), keep=np.ones(4, bool), disparity=np.zeros((5, 6)))
+    np.savez(
+        path,
+        voxel_xyz=np.ones((4, 3), np.float32),
+        keep=np.ones(4, bool),
+        disparity=np.zeros((5, 6)),
+    )
     assert clouds.read(path).dtype.names == ("x", "y", "z", "keep")
 
 

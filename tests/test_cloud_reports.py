@@ -1,4 +1,5 @@
-"""Cloud files of real tools and real people: each kind with its right value, and what other programs make of ours."""
+"""Cloud files of real tools and real people: each kind with its right value, and what other
+programs make of ours."""
 
 import logging
 import struct
@@ -37,10 +38,14 @@ def header(path: Path) -> dict[str, str]:
 
 
 ROWS = {
-    "qnan.ply": 499, "ind.ply": 499, "ind2.ply": 499, "nan.ply": 499, "nanq.ply": 499, "inf.ply": 499,
-    "pcd_ascii_nan.pcd": 499, "win.xyz": 499, "normals.ply": 500, "upper.ply": 500, "rangegrid.ply": 500,
-    "paraview.csv": 500, "units.csv": 500, "trailing_comma.csv": 500, "trailing_comma_nohead.csv": 500,
-    "decimal_comma.csv": 500, "decimal_comma.txt": 500, "utf16.csv": 500, "pts_count.txt": 500, "conf.xyz": 300,
+    "qnan.ply": 499, "ind.ply": 499, "ind2.ply": 499, "nan.ply": 499, "nanq.ply": 499,
+    "inf.ply": 499,
+    "pcd_ascii_nan.pcd": 499, "win.xyz": 499, "normals.ply": 500, "upper.ply": 500,
+    "rangegrid.ply": 500,
+    "paraview.csv": 500, "units.csv": 500, "trailing_comma.csv": 500,
+    "trailing_comma_nohead.csv": 500,
+    "decimal_comma.csv": 500, "decimal_comma.txt": 500, "utf16.csv": 500, "pts_count.txt": 500,
+    "conf.xyz": 300,
 }  # fmt: skip
 
 
@@ -63,7 +68,8 @@ def test_15_ascii_nan_in_one_coordinate(name: str, suffix: str, shared_data: Pat
 
 
 @pytest.mark.parametrize(
-    "name", ["plain", "blank_first", "blank_between", "header_blank", "double_space", "two_lines", "realsense_lines",
+    "name", ["plain", "blank_first", "blank_between", "header_blank", "double_space", "two_lines",
+    "realsense_lines",
              "comma", "comment_body", "cr_only", "no_newline_end"]
 )  # fmt: skip
 def test_29_ply_blank_lines(name: str, shared_data: Path) -> None:
@@ -78,19 +84,33 @@ def test_29_pcd(name: str, shared_data: Path) -> None:
     assert len(clouds.read(shared_data / "reports/29-ply-blank-lines" / name)) == 300
 
 
-def test_14_pcd_viewpoint(shared_data: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_14_pcd_viewpoint(
+    shared_data: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     folder = shared_data / "reports/14-pcd-viewpoint"
     filtered(folder / "tilted.pcd", tmp_path / "out.pcd")
-    assert header(tmp_path / "out.pcd")["VIEWPOINT"] == "-55.6948 -43.715 -35.9986 0.7071068 0.7071068 0 0"
+    assert (
+        header(tmp_path / "out.pcd")["VIEWPOINT"]
+        == "-55.6948 -43.715 -35.9986 0.7071068 0.7071068 0 0"
+    )
     with caplog.at_level(logging.WARNING, "stereo_ore"):
-        clouds.write(tmp_path / "out.ply", clouds.read(folder / "tilted.pcd"), clouds.viewpoint(folder / "tilted.pcd"))
+        clouds.write(
+            tmp_path / "out.ply",
+            clouds.read(folder / "tilted.pcd"),
+            clouds.viewpoint(folder / "tilted.pcd"),
+        )
     assert "viewpoint" in caplog.text
     wanted = np.load(folder / "colours.npy")
     packed = clouds.read(folder / "organised_rgb.pcd")
-    bits = sum(packed[name].astype(np.uint32) << shift for name, shift in (("red", 16), ("green", 8), ("blue", 0)))
+    bits = sum(
+        packed[name].astype(np.uint32) << shift
+        for name, shift in (("red", 16), ("green", 8), ("blue", 0))
+    )
     np.testing.assert_array_equal(bits, wanted & 0xFFFFFF)
     again = filtered(folder / "organised_rgb.pcd", tmp_path / "out.csv")
-    finite = np.isfinite(clouds.xyz(packed)).all(1)  # the filter drops the others, whatever the method
+    finite = np.isfinite(clouds.xyz(packed)).all(
+        1
+    )  # the filter drops the others, whatever the method
     np.testing.assert_array_equal(colours(again), colours(packed[finite]))
 
 
@@ -118,7 +138,9 @@ def test_06_cloud_3xn(shared_data: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("suffix", [".ply", ".pcd"])
 def test_07_cloud_names(suffix: str, shared_data: Path, tmp_path: Path) -> None:
     for name, column in (("umlaut", "H_he"), ("blanks", "Scan_Angle_Rank")):
-        cloud = filtered(shared_data / f"reports2/07-cloud-names/{name}.csv", tmp_path / f"{name}{suffix}")
+        cloud = filtered(
+            shared_data / f"reports2/07-cloud-names/{name}.csv", tmp_path / f"{name}{suffix}"
+        )
         assert len(cloud) == 300
         assert cloud[column][0] == 154
 
@@ -142,9 +164,13 @@ def test_08_cloud_int64(suffix: str, shared_data: Path, tmp_path: Path) -> None:
         assert (tmp_path / "o.csv").read_text().splitlines()[1].endswith(",1712345678901234567")
 
 
-def test_08_cloud_int64_in_ply_is_said(shared_data: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_08_cloud_int64_in_ply_is_said(
+    shared_data: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     with caplog.at_level(logging.WARNING, "stereo_ore"):
-        clouds.write(tmp_path / "o.ply", clouds.read(shared_data / "reports2/08-cloud-int64/ns.csv"))
+        clouds.write(
+            tmp_path / "o.ply", clouds.read(shared_data / "reports2/08-cloud-int64/ns.csv")
+        )
     assert "64 bits" in caplog.text
 
 
@@ -154,32 +180,46 @@ def test_clouds_01_csv_to_pcd(shared_data: Path, tmp_path: Path) -> None:
     filtered(shared_data / "surprises/clouds-01-csv-to-pcd/scan.csv", tmp_path / "out.pcd")
     assert header(tmp_path / "out.pcd")["SIZE"] == "4 4 4"
     seen = np.asarray(open3d.io.read_point_cloud(str(tmp_path / "out.pcd")).points)
-    np.testing.assert_allclose(seen, [[0.5, 0.25, 1], [0.6, 0.25, 1], [0.5, 0.35, 1.01], [0.6, 0.35, 1.02]], atol=1e-7)
+    np.testing.assert_allclose(
+        seen, [[0.5, 0.25, 1], [0.6, 0.25, 1], [0.5, 0.35, 1.01], [0.6, 0.35, 1.02]], atol=1e-7
+    )
 
 
 def test_a_far_origin_is_no_pcd(tmp_path: Path) -> None:
-    cloud = from_array(np.array([[500000.12, 4649776.22, 100.0], [500001.12, 4649777.22, 101.0]]), tmp_path)
+    cloud = from_array(
+        np.array([[500000.12, 4649776.22, 100.0], [500001.12, 4649777.22, 101.0]]), tmp_path
+    )
     with pytest.raises(CloudError, match=r"out\.pcd.*would move points.*Write PLY"):
         clouds.write(tmp_path / "out.pcd", cloud)
     assert not list(tmp_path.iterdir())
-    clouds.write(tmp_path / "mm.pcd", from_array(np.array([[5000.123, 0.5, 1.0], [0.1, 0.2, 0.3]]), tmp_path))
+    clouds.write(
+        tmp_path / "mm.pcd", from_array(np.array([[5000.123, 0.5, 1.0], [0.1, 0.2, 0.3]]), tmp_path)
+    )
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".pcd"])
 def test_clouds_02_column_name_with_a_blank(suffix: str, shared_data: Path, tmp_path: Path) -> None:
-    cloud = filtered(shared_data / "surprises/clouds-02-column-name-with-a-blank/scan.csv", tmp_path / f"out{suffix}")
+    cloud = filtered(
+        shared_data / "surprises/clouds-02-column-name-with-a-blank/scan.csv",
+        tmp_path / f"out{suffix}",
+    )
     assert cloud["Scalar_field"].tolist() == [5, 6, 7]
     assert colours(cloud)[0] == [10, 20, 30]
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".pcd"])
 def test_clouds_03_column_name_not_ascii(suffix: str, shared_data: Path, tmp_path: Path) -> None:
-    cloud = filtered(shared_data / "surprises/clouds-03-column-name-not-ascii/scan.csv", tmp_path / f"out{suffix}")
+    cloud = filtered(
+        shared_data / "surprises/clouds-03-column-name-not-ascii/scan.csv",
+        tmp_path / f"out{suffix}",
+    )
     assert cloud["H_he"].tolist() == [5, 6, 7]
 
 
 def test_clouds_04_colours_csv_to_ply(shared_data: Path, tmp_path: Path) -> None:
-    cloud = filtered(shared_data / "surprises/clouds-04-colours-csv-to-ply/scan.csv", tmp_path / "out.ply")
+    cloud = filtered(
+        shared_data / "surprises/clouds-04-colours-csv-to-ply/scan.csv", tmp_path / "out.ply"
+    )
     assert colours(cloud) == COLOURS
     assert (cloud["ore_id"].dtype, cloud["ore_id"].tolist()) == (np.int32, [1, 1, 2])
     assert b"property uchar red" in (tmp_path / "out.ply").read_bytes()
@@ -187,16 +227,22 @@ def test_clouds_04_colours_csv_to_ply(shared_data: Path, tmp_path: Path) -> None
 
 @pytest.mark.parametrize("kind", ["clouds-05-packed-rgb-to-ply", "clouds-07-pcd-binary-compressed"])
 @pytest.mark.parametrize("suffix", [".ply", ".csv", ".npz", ".pcd"])
-def test_packed_colours_become_columns(kind: str, suffix: str, shared_data: Path, tmp_path: Path) -> None:
+def test_packed_colours_become_columns(
+    kind: str, suffix: str, shared_data: Path, tmp_path: Path
+) -> None:
     cloud = filtered(shared_data / "surprises" / kind / "scan.pcd", tmp_path / f"out{suffix}")
     assert colours(cloud) == COLOURS
-    np.testing.assert_allclose(clouds.xyz(cloud), [[0.5, 0.25, 1], [0.6, 0.25, 1], [0.5, 0.35, 1.01]], atol=1e-7)
+    np.testing.assert_allclose(
+        clouds.xyz(cloud), [[0.5, 0.25, 1], [0.6, 0.25, 1], [0.5, 0.35, 1.01]], atol=1e-7
+    )
 
 
 def test_clouds_06_colours_to_pcd(shared_data: Path, tmp_path: Path) -> None:
     import open3d
 
-    cloud = filtered(shared_data / "surprises/clouds-06-colours-to-pcd/scan.ply", tmp_path / "out.pcd")
+    cloud = filtered(
+        shared_data / "surprises/clouds-06-colours-to-pcd/scan.ply", tmp_path / "out.pcd"
+    )
     assert header(tmp_path / "out.pcd")["FIELDS"] == "x y z rgb ore_id"
     assert cloud["ore_id"].tolist() == [1, 1, 2]
     seen = open3d.io.read_point_cloud(str(tmp_path / "out.pcd"))
@@ -210,13 +256,24 @@ def test_clouds_06_colours_to_pcd(shared_data: Path, tmp_path: Path) -> None:
 )  # fmt: skip
 def test_clouds_08_and_09_cloudcompare_text(file: str, shared_data: Path, tmp_path: Path) -> None:
     cloud = filtered(shared_data / "surprises" / file, tmp_path / "out.csv")
-    assert cloud.dtype.names == ("x", "y", "z", "red", "green", "blue", "Scalar_field", "Scalar_field_#2")
+    assert cloud.dtype.names == (
+        "x",
+        "y",
+        "z",
+        "red",
+        "green",
+        "blue",
+        "Scalar_field",
+        "Scalar_field_#2",
+    )
     assert len(cloud) == 5
     assert colours(cloud)[0] == [110, 239, 86]
 
 
 def test_clouds_10_float16_to_pcd(shared_data: Path, tmp_path: Path) -> None:
-    cloud = filtered(shared_data / "surprises/clouds-10-float16-to-pcd/scan.npy", tmp_path / "out.pcd")
+    cloud = filtered(
+        shared_data / "surprises/clouds-10-float16-to-pcd/scan.npy", tmp_path / "out.pcd"
+    )
     assert header(tmp_path / "out.pcd")["SIZE"] == "4 4 4"
     np.testing.assert_allclose(clouds.xyz(cloud), [[0, 0, 1], [0.1, 0, 1], [0, 0.1, 1]], atol=1e-4)
 
@@ -238,7 +295,10 @@ def test_ply_pcd_csv_ply_keeps_colours_and_types(tmp_path: Path) -> None:
     n = 200
     columns = {axis: rng.normal(size=n).astype(np.float32) for axis in "xyz"}
     columns |= {name: rng.integers(0, 256, n).astype(np.uint8) for name in ("red", "green", "blue")}
-    columns |= {"ore_id": rng.integers(0, 9, n).astype(np.int32), "score": rng.normal(size=n).astype(np.float32)}
+    columns |= {
+        "ore_id": rng.integers(0, 9, n).astype(np.int32),
+        "score": rng.normal(size=n).astype(np.float32),
+    }
     first = clouds.from_columns(columns)
     clouds.write(tmp_path / "a.ply", first)
     for old, new in (("a.ply", "b.pcd"), ("b.pcd", "c.csv"), ("c.csv", "d.ply")):
@@ -255,7 +315,9 @@ def test_what_open3d_reads_of_what_we_write(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     columns = {axis: rng.normal(size=50) for axis in "xyz"}
     columns |= {name: rng.normal(size=50) for name in ("nx", "ny", "nz")}
-    columns |= {name: rng.integers(0, 256, 50).astype(np.uint8) for name in ("red", "green", "blue")}
+    columns |= {
+        name: rng.integers(0, 256, 50).astype(np.uint8) for name in ("red", "green", "blue")
+    }
     columns |= {"ore_id": rng.integers(0, 9, 50), "Höhe über NN": rng.normal(size=50)}
     records = clouds.from_columns(columns)
     for suffix in (".ply", ".pcd"):
@@ -272,9 +334,17 @@ def test_what_open3d_reads_of_what_we_write(tmp_path: Path) -> None:
 def test_las_there_and_back(suffix: str, tmp_path: Path) -> None:
     laspy = pytest.importorskip("laspy")
     rng = np.random.default_rng(2)
-    columns = {axis: rng.normal(size=40) + shift for axis, shift in zip("xyz", (500_000, 4_649_776, 100), strict=True)}
-    columns |= {name: rng.integers(0, 256, 40).astype(np.uint8) for name in ("red", "green", "blue")}
-    columns |= {"ore_id": rng.integers(0, 9, 40).astype(np.int32), "score": rng.normal(size=40).astype(np.float32)}
+    columns = {
+        axis: rng.normal(size=40) + shift
+        for axis, shift in zip("xyz", (500_000, 4_649_776, 100), strict=True)
+    }
+    columns |= {
+        name: rng.integers(0, 256, 40).astype(np.uint8) for name in ("red", "green", "blue")
+    }
+    columns |= {
+        "ore_id": rng.integers(0, 9, 40).astype(np.int32),
+        "score": rng.normal(size=40).astype(np.float32),
+    }
     records = clouds.from_columns(columns)
     path = tmp_path / f"cloud{suffix}"
     clouds.write(path, records)
@@ -290,8 +360,11 @@ def test_las_there_and_back(suffix: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", list(clouds.FORMATS))
-def test_an_odd_column_is_kept_or_told(suffix: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Of every type and name, through every format: read again with its values, or a line that names it."""
+def test_an_odd_column_is_kept_or_told(
+    suffix: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Of every type and name, through every format: read again with its values, or a line that
+    names it."""
     if suffix in (".las", ".laz"):
         pytest.importorskip("laspy")
     rng = np.random.default_rng(3)
@@ -306,11 +379,15 @@ def test_an_odd_column_is_kept_or_told(suffix: str, tmp_path: Path, caplog: pyte
                 read = clouds.read(path)
             np.testing.assert_allclose(clouds.xyz(read)[:, 0], range(6), atol=1e-12)
             values = [read[column] for column in read.dtype.names if column not in ("x", "y", "z")]
-            kept = len(values) == 1 and np.allclose(values[0].astype(float), odd.astype(float), rtol=1e-6)
+            kept = len(values) == 1 and np.allclose(
+                values[0].astype(float), odd.astype(float), rtol=1e-6
+            )
             assert kept or len(values) == 3 or "left out" in caplog.text, (kind, name, read.dtype)
 
 
-def test_columns_of_several_numbers_in_numpy_files(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_columns_of_several_numbers_in_numpy_files(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     arrays = {
         "xyz": np.ones((5, 3)),
         "colors": np.full((5, 3), 7, np.uint8),
@@ -320,16 +397,31 @@ def test_columns_of_several_numbers_in_numpy_files(tmp_path: Path, caplog: pytes
     np.savez(tmp_path / "c.npz", **arrays)
     with caplog.at_level(logging.WARNING, "stereo_ore"):
         read = clouds.read(tmp_path / "c.npz")
-    assert read.dtype.names == ("x", "y", "z", "red", "green", "blue", "w_0", "w_1", "w_2", "w_3", "w_4")
+    assert read.dtype.names == (
+        "x",
+        "y",
+        "z",
+        "red",
+        "green",
+        "blue",
+        "w_0",
+        "w_1",
+        "w_2",
+        "w_3",
+        "w_4",
+    )
     assert "names" in caplog.text
-    structured = np.zeros(4, [("x", "f4"), ("y", "f4"), ("z", "f4"), ("normals", "f4", 3), ("label", "U3")])
+    structured = np.zeros(
+        4, [("x", "f4"), ("y", "f4"), ("z", "f4"), ("normals", "f4", 3), ("label", "U3")]
+    )
     np.save(tmp_path / "c.npy", structured)
     assert clouds.read(tmp_path / "c.npy").dtype.names == ("x", "y", "z", "nx", "ny", "nz")
 
 
 def test_padding_fields_of_a_pcd_are_no_columns(tmp_path: Path) -> None:
     text = (
-        "FIELDS x y z _ i _\nSIZE 4 4 4 1 4 1\nTYPE F F F U F U\nCOUNT 1 1 1 4 1 12\nWIDTH 1\nHEIGHT 1\nDATA binary\n"
+        "FIELDS x y z _ i _\nSIZE 4 4 4 1 4 1\nTYPE F F F U F U\nCOUNT 1 1 1 4 1 12\nWIDTH"
+        " 1\nHEIGHT 1\nDATA binary\n"
     )
     body = struct.pack("<fff4sf12s", 1, 2, 3, b"abcd", 9, bytes(12))
     (tmp_path / "c.pcd").write_bytes(text.encode() + body)
@@ -339,7 +431,8 @@ def test_padding_fields_of_a_pcd_are_no_columns(tmp_path: Path) -> None:
 
 
 def lzf(data: bytes) -> bytes:
-    """LZF by the book, slow: literals, and copies of at least three bytes that came within 8 kB before."""
+    """LZF by the book, slow: literals, and copies of at least three bytes that came within 8 kB
+    before."""
     out, at, run = bytearray(), 0, bytearray()
 
     def flush() -> None:
@@ -374,7 +467,9 @@ def lzf(data: bytes) -> bytes:
 
 
 @given(
-    st.lists(st.binary(min_size=1, max_size=40) | st.sampled_from([b"a" * 300, b"abc" * 50]), max_size=6).map(b"".join)
+    st.lists(
+        st.binary(min_size=1, max_size=40) | st.sampled_from([b"a" * 300, b"abc" * 50]), max_size=6
+    ).map(b"".join)
 )
 @settings(max_examples=60, deadline=None)
 def test_lzf(data: bytes) -> None:

@@ -32,8 +32,12 @@ def test_the_dump_reads_back_to_the_same(tmp_path: Path, comments: bool) -> None
 
 
 def test_the_commented_dump_explains_every_parameter() -> None:
-    lines = [line for line in dump_config(Config(), comments=True).splitlines() if line.startswith("  ")]
-    assert len(lines) == sum(len(getattr(Config(), name).model_dump()) for name in Config.model_fields)
+    lines = [
+        line for line in dump_config(Config(), comments=True).splitlines() if line.startswith("  ")
+    ]
+    assert len(lines) == sum(
+        len(getattr(Config(), name).model_dump()) for name in Config.model_fields
+    )
     assert [line for line in lines if len(line.partition("  # ")[2]) < 8] == []
 
 
@@ -70,7 +74,8 @@ def test_what_is_no_configuration_is_a_config_error(tmp_path: Path, text: str, s
 
 
 @pytest.mark.parametrize(
-    "setting", ["strike", "=3", "strike.=3", "strike.tool_diameter_m.x=3", "strike.alternates=[", "a=b"]
+    "setting",
+    ["strike", "=3", "strike.=3", "strike.tool_diameter_m.x=3", "strike.alternates=[", "a=b"],
 )
 def test_a_malformed_setting_is_a_config_error(setting: str) -> None:
     with pytest.raises(ConfigError, match="--set"):

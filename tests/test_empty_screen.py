@@ -1,4 +1,5 @@
-"""`calibrate background`, and a run that knows the empty screen: no plane given, a moved camera refused."""
+"""`calibrate background`, and a run that knows the empty screen: no plane given, a moved camera
+refused."""
 
 import json
 from pathlib import Path
@@ -21,7 +22,8 @@ def call(*arguments: object) -> int:
 
 @pytest.fixture(scope="module")
 def model(empty_scene: synth.Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the empty screen's recording, its model, and a site that names it instead of a plane."""
+    """A folder with the empty screen's recording, its model, and a site that names it instead of a
+    plane."""
     folder = tmp_path_factory.mktemp("empty")
     recorded = synth.write(empty_scene, folder / "recorded")
     site = yaml.safe_load((recorded / "site.yaml").read_text())
@@ -31,7 +33,18 @@ def model(empty_scene: synth.Scene, tmp_path_factory: pytest.TempPathFactory) ->
     out = folder / "empty_screen.npz"
     calib = recorded / "calibration.yaml"
     assert (
-        call("calibrate", "background", recorded, "--calib", calib, "--site", folder / "auto.yaml", "--out", out) == 0
+        call(
+            "calibrate",
+            "background",
+            recorded,
+            "--calib",
+            calib,
+            "--site",
+            folder / "auto.yaml",
+            "--out",
+            out,
+        )
+        == 0
     )
     return folder
 
@@ -41,7 +54,16 @@ def record(out: Path) -> dict:
 
 
 def run(recording: Path, model: Path, out: Path) -> dict:
-    call("run", recording, "--calib", model / "recorded/calibration.yaml", "--site", model / "site.yaml", "--out", out)
+    call(
+        "run",
+        recording,
+        "--calib",
+        model / "recorded/calibration.yaml",
+        "--site",
+        model / "site.yaml",
+        "--out",
+        out,
+    )
     return record(out)
 
 
@@ -69,7 +91,9 @@ def test_the_empty_screen_itself_has_no_ore(model: Path, tmp_path: Path) -> None
     assert run(model / "recorded", model, tmp_path / "out")["ores"] == []
 
 
-def test_a_moved_camera_fails_the_frame_with_its_reason(model: Path, synth_folder: Path, tmp_path: Path) -> None:
+def test_a_moved_camera_fails_the_frame_with_its_reason(
+    model: Path, synth_folder: Path, tmp_path: Path
+) -> None:
     moved = tmp_path / "moved"
     moved.mkdir()
     for name in ("left.png", "right.png"):
@@ -84,5 +108,17 @@ def test_an_absent_model_is_named(model: Path, synth_folder: Path, tmp_path: Pat
     site = yaml.safe_load((model / "site.yaml").read_text()) | {"background": "nowhere.npz"}
     (tmp_path / "site.yaml").write_text(yaml.safe_dump(site))
     calib = synth_folder / "calibration.yaml"
-    assert call("run", synth_folder, "--calib", calib, "--site", tmp_path / "site.yaml", "--out", tmp_path / "out") == 1
+    assert (
+        call(
+            "run",
+            synth_folder,
+            "--calib",
+            calib,
+            "--site",
+            tmp_path / "site.yaml",
+            "--out",
+            tmp_path / "out",
+        )
+        == 1
+    )
     assert "nowhere.npz" in capsys.readouterr().err

@@ -1,4 +1,5 @@
-"""`evaluate`: the truth scores perfectly, a known fault shows as itself, figures are those of the scoring tool."""
+"""`evaluate`: the truth scores perfectly, a known fault shows as itself, figures are those of the
+scoring tool."""
 
 import copy
 import json
@@ -20,7 +21,8 @@ Edit = Callable[[dict[str, Any], dict[str, np.ndarray]], None]
 
 
 def truth_as_result(scene: synth.Scene) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Record and stages of a program that knows the truth; some noise far above the surface, all of it removed."""
+    """Record and stages of a program that knows the truth; some noise far above the surface, all of
+    it removed."""
     ids = {lump.id: k for k, lump in enumerate(scene.lumps, 1)}
     ore_map = np.zeros(scene.instance.shape, np.int16)
     for lump, k in ids.items():
@@ -35,18 +37,25 @@ def truth_as_result(scene: synth.Scene) -> tuple[dict[str, Any], dict[str, np.nd
         "keep": np.arange(len(voxels)) < len(some),
     }  # fmt: skip
     ores = [
-        _ore(scene, lump, k, xyz[scene.instance == lump.id]) for lump, k in zip(scene.lumps, ids.values(), strict=True)
+        _ore(scene, lump, k, xyz[scene.instance == lump.id])
+        for lump, k in zip(scene.lumps, ids.values(), strict=True)
     ]
     return {"frame": "it", "status": "ok", "ores": ores}, stages
 
 
 def _ore(scene: synth.Scene, lump: synth.LumpTruth, k: int, surface: np.ndarray) -> dict[str, Any]:
     point = surface[np.linalg.norm(surface - surface.mean(0), axis=1).argmin()]
-    centre = {"arm": lump.com_world.tolist(), "camera": lump.com_rectified.tolist(), "sigma_m": [0.001] * 3}
+    centre = {
+        "arm": lump.com_world.tolist(),
+        "camera": lump.com_rectified.tolist(),
+        "sigma_m": [0.001] * 3,
+    }
     return {
         "id": k, "centre_of_gravity": centre, "volume_m3": lump.volume_m3,
-        "volume_bounds_m3": [0.9 * lump.volume_m3, 1.1 * lump.volume_m3], "size_m": [lump.max_calliper, 0.1, 0.1],
-        "oversize": lump.oversize, "strike": {"point": {"camera": point.tolist()}, "direction": {"camera": [0, 0, 1]}},
+        "volume_bounds_m3": [0.9 * lump.volume_m3, 1.1 * lump.volume_m3],
+        "size_m": [lump.max_calliper, 0.1, 0.1],
+        "oversize": lump.oversize, "strike": {"point": {"camera": point.tolist()},
+        "direction": {"camera": [0, 0, 1]}},
     }  # fmt: skip
 
 
@@ -60,25 +69,49 @@ def results(synth_scene: synth.Scene, tmp_path: Path) -> Callable[..., Path]:
         folder = tmp_path / name
         (folder / "stages").mkdir(parents=True)
         (folder / "frames.jsonl").write_text(json.dumps(record) + "\n")
-        (folder / "timings.jsonl").write_text(json.dumps({"frame": "it", "stages_ms": {}, "total_ms": 12.5}) + "\n")
+        (folder / "timings.jsonl").write_text(
+            json.dumps({"frame": "it", "stages_ms": {}, "total_ms": 12.5}) + "\n"
+        )
         np.savez(folder / "stages" / "it.npz", **stages)
         return folder
 
     return make
 
 
-def judged(run: Path, scene: Path, baselines: bool = False) -> tuple[dict[str, Any], dict[str, float]]:
+def judged(
+    run: Path, scene: Path, baselines: bool = False
+) -> tuple[dict[str, Any], dict[str, float]]:
     (pair,) = evaluate.find_pairs(run, scene)
-    row = evaluate.score(pair.record(), pair.stages(), evaluate.load_truth(scene), baselines) | {"ms": pair.total_ms()}
+    row = evaluate.score(pair.record(), pair.stages(), evaluate.load_truth(scene), baselines) | {
+        "ms": pair.total_ms()
+    }
     return row, evaluate.pool([row])
 
 
-def test_a_perfect_result_scores_perfectly(results: Callable[..., Path], synth_folder: Path) -> None:
+def test_a_perfect_result_scores_perfectly(
+    results: Callable[..., Path], synth_folder: Path
+) -> None:
     row, total = judged(results(), synth_folder)
     assert row["ores"]["wanted"] >= 2
-    for one in ("match_valid", "filter_f1", "iou", "recall50", "precision50", "oversize_flag", "cog_inside_2_sigma"):
+    for one in (
+        "match_valid",
+        "filter_f1",
+        "iou",
+        "recall50",
+        "precision50",
+        "oversize_flag",
+        "cog_inside_2_sigma",
+    ):
         assert total[one] == pytest.approx(1, abs=1e-6), one
-    for zero in ("match_bad1", "noise_left", "cog_xy_mm", "cog_z_mm", "volume_rel", "size_rel", "strike_mm"):
+    for zero in (
+        "match_bad1",
+        "noise_left",
+        "cog_xy_mm",
+        "cog_z_mm",
+        "volume_rel",
+        "size_rel",
+        "strike_mm",
+    ):
         assert total[zero] == pytest.approx(0, abs=0.02), zero
     assert total["ms"] == 12.5
 
@@ -98,7 +131,9 @@ def test_a_shifted_centre_is_split_into_plane_and_height(
     assert total["cog_z_mm"] == pytest.approx(12, abs=1e-3)
 
 
-def test_a_missed_and_an_invented_ore_are_counted(results: Callable[..., Path], synth_folder: Path) -> None:
+def test_a_missed_and_an_invented_ore_are_counted(
+    results: Callable[..., Path], synth_folder: Path
+) -> None:
     def swap(record: dict[str, Any], stages: dict[str, np.ndarray]) -> None:
         stages["ore_map"][stages["ore_map"] == 1] = 0
         stages["ore_map"][:20, :30] = 1
@@ -112,7 +147,9 @@ def test_a_missed_and_an_invented_ore_are_counted(results: Callable[..., Path], 
 def test_an_empty_result_of_an_empty_scene(empty_scene: synth.Scene, tmp_path: Path) -> None:
     folder = synth.write(empty_scene, tmp_path / "empty")
     record, stages = truth_as_result(empty_scene)
-    total = evaluate.pool([evaluate.score(record, stages, evaluate.load_truth(folder), baselines=False)])
+    total = evaluate.pool(
+        [evaluate.score(record, stages, evaluate.load_truth(folder), baselines=False)]
+    )
     assert total["precision50"] == 1
     assert np.isnan(total["cog_xy_mm"])
 
@@ -120,24 +157,38 @@ def test_an_empty_result_of_an_empty_scene(empty_scene: synth.Scene, tmp_path: P
 def test_unknown_values_are_left_out(results: Callable[..., Path], synth_folder: Path) -> None:
     def forget(record: dict[str, Any], _: dict[str, np.ndarray]) -> None:
         for ore in record["ores"]:
-            ore |= {"centre_of_gravity": None, "volume_m3": None, "size_m": None, "oversize": None, "strike": None}
+            ore |= {
+                "centre_of_gravity": None,
+                "volume_m3": None,
+                "size_m": None,
+                "oversize": None,
+                "strike": None,
+            }
 
     _, total = judged(results(forget), synth_folder)
     assert total["recall50"] == 1
-    assert np.isnan([total["cog_xy_mm"], total["volume_rel"], total["size_rel"], total["strike_mm"]]).all()
+    assert np.isnan(
+        [total["cog_xy_mm"], total["volume_rel"], total["size_rel"], total["strike_mm"]]
+    ).all()
 
 
 def worsen(record: dict[str, Any], stages: dict[str, np.ndarray]) -> None:
     """Every stage wrong in its own way."""
     rng = np.random.default_rng(0)
-    stages["disparity"] = (stages["disparity"] + rng.normal(0, 0.7, stages["disparity"].shape)).astype(np.float32)
+    stages["disparity"] = (
+        stages["disparity"] + rng.normal(0, 0.7, stages["disparity"].shape)
+    ).astype(np.float32)
     stages["disparity"][::5] = np.nan
     stages["keep"] = stages["keep"] ^ (rng.random(len(stages["keep"])) < 0.2)
     stages["ore_map"] = np.roll(stages["ore_map"], (5, 7), (0, 1))
     for ore in record["ores"]:
-        ore["centre_of_gravity"]["arm"] = (np.array(ore["centre_of_gravity"]["arm"]) + rng.normal(0, 0.02, 3)).tolist()
+        ore["centre_of_gravity"]["arm"] = (
+            np.array(ore["centre_of_gravity"]["arm"]) + rng.normal(0, 0.02, 3)
+        ).tolist()
         ore["volume_m3"] *= 1.3
-        ore["strike"]["point"]["camera"] = (np.array(ore["strike"]["point"]["camera"]) * 0.99).tolist()
+        ore["strike"]["point"]["camera"] = (
+            np.array(ore["strike"]["point"]["camera"]) * 0.99
+        ).tolist()
 
 
 def test_figures_are_those_of_the_scoring_tool(
@@ -168,7 +219,7 @@ def same(a: Any, b: Any) -> bool:
     return bool(a == pytest.approx(b, rel=1e-9))
 
 
-# --- files and command line -------------------------------------------------------------------------------------------
+# --- files and command line -----------------------------------------------------------------------
 
 
 def test_a_folder_of_runs_fits_a_folder_of_scenes(
@@ -179,7 +230,9 @@ def test_a_folder_of_runs_fits_a_folder_of_scenes(
     assert (pair.scene, pair.frame) == (synth_folder, "it")
 
 
-def test_what_is_missing_is_named(results: Callable[..., Path], synth_folder: Path, tmp_path: Path) -> None:
+def test_what_is_missing_is_named(
+    results: Callable[..., Path], synth_folder: Path, tmp_path: Path
+) -> None:
     run = results()
     with pytest.raises(SourceError, match="no scene with truth"):
         evaluate.find_pairs(run, tmp_path)
@@ -212,14 +265,19 @@ def test_a_lump_without_a_key_is_named(synth_folder: Path, tmp_path: Path) -> No
             evaluate.load_truth(scene)
 
 
-def test_truth_of_another_shape_is_an_error(results: Callable[..., Path], synth_folder: Path, tmp_path: Path) -> None:
+def test_truth_of_another_shape_is_an_error(
+    results: Callable[..., Path], synth_folder: Path, tmp_path: Path
+) -> None:
     scene = shutil.copytree(synth_folder, tmp_path / "scene")
     with np.load(scene / "gt.npz") as file:
         arrays = {name: array[:-8] for name, array in file.items()}
     np.savez(scene / "gt.npz", **arrays)
     with pytest.raises(SourceError, match="pixels"):
         judged(results(), scene)
-    np.savez(scene / "gt.npz", **{name: array[: 9 if "depth" in name else 8] for name, array in arrays.items()})
+    np.savez(
+        scene / "gt.npz",
+        **{name: array[: 9 if "depth" in name else 8] for name, array in arrays.items()},
+    )
     with pytest.raises(SourceError, match="shapes"):
         evaluate.load_truth(scene)
 
@@ -231,7 +289,10 @@ def launch(*arguments: object) -> int:
 
 
 def test_the_command_prints_writes_and_judges(
-    results: Callable[..., Path], synth_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    results: Callable[..., Path],
+    synth_folder: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     run, out = results(), tmp_path / "judged"
     assert launch("evaluate", run, synth_folder, "--out", out, "--at-least", "iou=0.9") == 0

@@ -22,7 +22,9 @@ def eye(scene: Path, name: str) -> U8:
 
 @pytest.fixture(scope="module")
 def chain() -> Chain:
-    return Chain(load(SCENE / "calibration.yaml"), load_site(SCENE / "site.yaml"), load_config(None, []))
+    return Chain(
+        load(SCENE / "calibration.yaml"), load_site(SCENE / "site.yaml"), load_config(None, [])
+    )
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +43,9 @@ def test_the_pair_as_recorded_gives_targets(chain: Chain, left: U8, right: U8) -
     assert result.targets
 
 
-@pytest.mark.parametrize("fault", ["swapped", "upside down", "mirrored", "other moment", "rows apart", "same eye"])
+@pytest.mark.parametrize(
+    "fault", ["swapped", "upside down", "mirrored", "other moment", "rows apart", "same eye"]
+)
 def test_eyes_that_disagree_are_degraded(fault: str, chain: Chain, left: U8, right: U8) -> None:
     eyes = {
         "swapped": (right, left),
@@ -76,7 +80,10 @@ def turned(image: U8, focal_px: float, angles: tuple[float, float, float]) -> U8
     height, width = image.shape[:2]
     K = np.array([[focal_px, 0, width / 2], [0, focal_px, height / 2], [0, 0, 1]])
     H = K @ np.asarray(cv2.Rodrigues(np.array(angles))[0]) @ np.linalg.inv(K)
-    return np.asarray(cv2.warpPerspective(image, H, (width, height), flags=cv2.INTER_CUBIC, borderMode=1), np.uint8)
+    return np.asarray(
+        cv2.warpPerspective(image, H, (width, height), flags=cv2.INTER_CUBIC, borderMode=1),
+        np.uint8,
+    )
 
 
 @pytest.mark.parametrize("angles_mrad", [(0.5, 0, 0), (-0.5, 0, 0), (0, 0, 1.5), (0, 0, -1.5)])

@@ -1,4 +1,5 @@
-"""Faults of the images planted in a recording of the real command: one run, a frame a fault, sound frames between."""
+"""Faults of the images planted in a recording of the real command: one run, a frame a fault, sound
+frames between."""
 
 import json
 import subprocess
@@ -27,7 +28,13 @@ def sensor(image: U8, seed: int) -> U8:
 def muddy(image: U8) -> U8:
     """A third of the lens under a blob with soft edges."""
     height, width = image.shape[:2]
-    blob = cv2.circle(np.zeros((height, width), np.float32), (width // 2, height // 2), int(0.45 * height), 1.0, -1)
+    blob = cv2.circle(
+        np.zeros((height, width), np.float32),
+        (width // 2, height // 2),
+        int(0.45 * height),
+        1.0,
+        -1,
+    )
     blob = cv2.GaussianBlur(blob, (0, 0), 6)[..., None]
     return np.rint(image * (1 - blob) + np.float32([25, 35, 45]) * blob).astype(np.uint8)
 
@@ -40,14 +47,18 @@ def other_moment(right: U8) -> U8:
 def slipped(right: U8) -> U8:
     """A fifth of the rows comes eight columns late."""
     out, height = right.copy(), len(right)
-    out[2 * height // 5 : 3 * height // 5] = np.roll(right[2 * height // 5 : 3 * height // 5], -8, axis=1)
+    out[2 * height // 5 : 3 * height // 5] = np.roll(
+        right[2 * height // 5 : 3 * height // 5], -8, axis=1
+    )
     return out
 
 
 def warped(image: U8, du: np.ndarray, dv: np.ndarray | float = 0.0) -> U8:
     v, u = np.indices(image.shape[:2])
     columns, rows = np.asarray(u + du, np.float32), np.asarray(v + dv, np.float32)
-    return np.asarray(cv2.remap(image, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8)
+    return np.asarray(
+        cv2.remap(image, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8
+    )
 
 
 def wobbling(image: U8) -> U8:
@@ -71,14 +82,20 @@ FAULTS: dict[str, tuple[Callable[[U8, U8], Eyes], str, str]] = {
     "swapped": (lambda left, right: (right, left), "degraded", "EYES_DISAGREE"),
     "black1": (lambda left, right: (0 * left, right), "failed", "FEW_DISPARITIES"),
     "black2": (lambda left, right: (left, 0 * right), "failed", "FEW_DISPARITIES"),
-    "covered2": (lambda left, right: (left, sensor(0 * right + 90, 1)), "degraded|failed", "EYES_DISAGREE"),
-    "other_moment": (lambda left, right: (left, other_moment(right)), "degraded|failed", "EYES_DISAGREE"),
-    "columns_shifted": (lambda left, right: (left, np.roll(right, 12, 1)), "degraded", "SCREEN_MOVED"),
+    "covered2": (lambda left, right: (left, sensor(0 * right + 90, 1)), "degraded|failed",
+    "EYES_DISAGREE"),
+    "other_moment": (lambda left, right: (left, other_moment(right)), "degraded|failed",
+    "EYES_DISAGREE"),
+    "columns_shifted": (lambda left, right: (left, np.roll(right, 12, 1)), "degraded",
+    "SCREEN_MOVED"),
     "rows_shifted": (lambda left, right: (left, np.roll(right, 1, 0)), "degraded", "ROWS_DISAGREE"),
-    "upside_down": (lambda left, right: (left, right[::-1, ::-1]), "degraded|failed", "EYES_DISAGREE"),
-    "saturated": (both(lambda x: np.clip(20.0 * x, 0, 255).astype(np.uint8)), "degraded|failed", "FEW_DISPARITIES"),
+    "upside_down": (lambda left, right: (left, right[::-1, ::-1]), "degraded|failed",
+    "EYES_DISAGREE"),
+    "saturated": (both(lambda x: np.clip(20.0 * x, 0, 255).astype(np.uint8)), "degraded|failed",
+    "FEW_DISPARITIES"),
     "dark": (both(lambda x: sensor(np.uint8(0.03 * x), 2)), "degraded|failed", "TOO_DARK"),
-    "out_of_focus": (both(lambda x: sensor(cv2.GaussianBlur(x, (0, 0), 6), 3)), "degraded", "OUT_OF_FOCUS"),
+    "out_of_focus": (both(lambda x: sensor(cv2.GaussianBlur(x, (0, 0), 6), 3)), "degraded",
+    "OUT_OF_FOCUS"),
     "mud1": (lambda left, right: (muddy(left), right), "degraded", "VALID_SHARE_FELL"),
     "mud2": (lambda left, right: (left, muddy(right)), "degraded", "VALID_SHARE_FELL"),
     "slipped_rows": (lambda left, right: (left, slipped(right)), "degraded", "PARTS_DISAGREE"),
@@ -99,11 +116,17 @@ def plant(folder: Path, left: U8, right: U8) -> None:
     """Sound frames, then the faults, with sound frames between, in the order of their names."""
     frames: list[tuple[str, Eyes | None]] = [("sound", None)] * SOUND_FIRST
     for number, (name, (fault, _, _)) in enumerate(FAULTS.items()):
-        frames.append((name, fault(sensor(left, 500 + 2 * number), sensor(right, 501 + 2 * number))))
+        frames.append(
+            (name, fault(sensor(left, 500 + 2 * number), sensor(right, 501 + 2 * number)))
+        )
         frames += [("sound", None)] * (number % 3 == 2)
     frames.append(("sound", None))
     for number, (name, eyes) in enumerate(frames):
-        write(folder, f"{number:03d}_{name}", eyes or (sensor(left, 2 * number), sensor(right, 2 * number + 1)))
+        write(
+            folder,
+            f"{number:03d}_{name}",
+            eyes or (sensor(left, 2 * number), sensor(right, 2 * number + 1)),
+        )
     last = f"{len(frames) - 1:03d}_sound"
     same = [(folder / eye / f"{last}.png").read_bytes() for eye in ("left", "right")]
     for name, sides in (("frozen", "left right"), ("frozen1", "left")):
@@ -120,15 +143,32 @@ def plant(folder: Path, left: U8, right: U8) -> None:
 @pytest.fixture(scope="module")
 def records(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict]:
     """The last record of each fault, by its name; of "sound" all are in a list under "all"."""
-    scene, folder = tmp_path_factory.mktemp("scene"), tmp_path_factory.mktemp("faults") / "recording"
+    scene, folder = (
+        tmp_path_factory.mktemp("scene"),
+        tmp_path_factory.mktemp("faults") / "recording",
+    )
     folder.mkdir()
     arguments = smaller_scene(scene, 2)
-    plant(folder, *(np.asarray(cv2.imread(str(scene / f"{eye}.png")), np.uint8) for eye in ("left", "right")))
-    command = ["stereo-ore", "run", str(folder), *arguments, "--out", str(folder.parent / "out"), "--no-report"]
+    plant(
+        folder,
+        *(np.asarray(cv2.imread(str(scene / f"{eye}.png")), np.uint8) for eye in ("left", "right")),
+    )
+    command = [
+        "stereo-ore",
+        "run",
+        str(folder),
+        *arguments,
+        "--out",
+        str(folder.parent / "out"),
+        "--no-report",
+    ]
     done = subprocess.run([*command, "--workers", "2"], capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     assert "Traceback" not in done.stderr
-    lines = [json.loads(line) for line in (folder.parent / "out" / "frames.jsonl").read_text().splitlines()]
+    lines = [
+        json.loads(line)
+        for line in (folder.parent / "out" / "frames.jsonl").read_text().splitlines()
+    ]
     return {line["frame"].partition("_")[2]: line for line in lines} | {"all": lines}
 
 
@@ -142,7 +182,9 @@ def arm_sees_nothing(record: dict) -> bool:
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_fault_of_the_images_is_told_and_gives_no_target(fault: str, records: dict[str, dict]) -> None:
+def test_a_fault_of_the_images_is_told_and_gives_no_target(
+    fault: str, records: dict[str, dict]
+) -> None:
     _, statuses, code = FAULTS[fault]
     record = records[fault]
     assert record["status"] in statuses.split("|"), codes(record)

@@ -1,4 +1,5 @@
-"""Faults of calibration, site and configuration, of the disk and the folder, planted in the real command."""
+"""Faults of calibration, site and configuration, of the disk and the folder, planted in the real
+command."""
 
 import json
 import os
@@ -43,8 +44,11 @@ def baseline(factor: float) -> Change:
     return change
 
 
-def turned(x_deg: float, y_deg: float, z_deg: float, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Change:
-    """The camera was turned and moved [m] after the site was measured: the file is that of its old pose."""
+def turned(
+    x_deg: float, y_deg: float, z_deg: float, x: float = 0.0, y: float = 0.0, z: float = 0.0
+) -> Change:
+    """The camera was turned and moved [m] after the site was measured: the file is that of its old
+    pose."""
 
     def change(document: Document) -> None:
         T_old_new = np.eye(4)
@@ -78,7 +82,10 @@ WRONG_CALIBRATIONS: dict[str, tuple[Change, str]] = {
     "baseline of another camera": (baseline(0.063 / 0.12), "SCREEN_MOVED"),
     "baseline 5 % long": (baseline(1.05), "SCREEN_MOVED"),
     "baseline 2 % short": (baseline(0.98), "SCREEN_MOVED"),
-    "disparity offset of a third of a pixel": (lambda d: d.update(disparity_offset_px=0.35), "SCREEN_MOVED"),
+    "disparity offset of a third of a pixel": (
+        lambda d: d.update(disparity_offset_px=0.35),
+        "SCREEN_MOVED",
+    ),
     "focal length by the width": (scaled("focal_px", 2208 / 1920), "SCREEN_MOVED"),
 }
 REFUSED_CALIBRATIONS: dict[str, tuple[Change, str]] = {
@@ -111,7 +118,9 @@ def edit(file: Path, change: Change) -> None:
 def run(scene: Path, *more: object, **options: Any) -> subprocess.CompletedProcess[str]:
     files = ["--calib", scene / "calibration.yaml", "--site", scene / "site.yaml", "--no-report"]
     command = ["stereo-ore", "run", scene, *files, "--out", scene.parent / "out", *more]
-    done = subprocess.run([str(word) for word in command], capture_output=True, text=True, timeout=120, **options)
+    done = subprocess.run(
+        [str(word) for word in command], capture_output=True, text=True, timeout=120, **options
+    )
     assert "Traceback" not in done.stderr
     return done
 
@@ -124,7 +133,10 @@ def refusal(done: subprocess.CompletedProcess[str]) -> str:
 
 def told(scene: Path) -> list[str]:
     """Codes of the one frame, whose record and message have no target."""
-    (record,) = [json.loads(line) for line in (scene.parent / "out" / "frames.jsonl").read_text().splitlines()]
+    (record,) = [
+        json.loads(line)
+        for line in (scene.parent / "out" / "frames.jsonl").read_text().splitlines()
+    ]
     assert record["status"] == "degraded", record["reasons"]
     assert record["targets"] == []
     assert not message(record, 1, Origin(), age_s=0.0, valid_for_s=60.0).valid
@@ -176,8 +188,16 @@ def test_a_parameter_out_of_range_is_refused_by_name(setting: str, scene: Path) 
 
 
 def test_a_filter_that_keeps_nothing_gives_no_target(scene: Path) -> None:
-    done = run(scene, "--set", "filter.method=radius", "--set", "filter.params={radius: 1e-6, min_points: 50}")
-    lines = (scene.parent / "out" / "frames.jsonl").read_text() if done.returncode in (0, 3) else "{}"
+    done = run(
+        scene,
+        "--set",
+        "filter.method=radius",
+        "--set",
+        "filter.params={radius: 1e-6, min_points: 50}",
+    )
+    lines = (
+        (scene.parent / "out" / "frames.jsonl").read_text() if done.returncode in (0, 3) else "{}"
+    )
     assert done.returncode == 1 or json.loads(lines)["targets"] == []
 
 
@@ -187,7 +207,9 @@ def test_without_a_plane_of_bars_there_is_no_target(scene: Path) -> None:
     for eye in ("left", "right"):
         image = cv2.imread(str(scene / f"{eye}.png"))
         rng = np.random.default_rng(1)
-        floor = cv2.GaussianBlur(rng.normal(0, 1, (image.shape[0], image.shape[1] + 60, 3)), (0, 0), 1.2)
+        floor = cv2.GaussianBlur(
+            rng.normal(0, 1, (image.shape[0], image.shape[1] + 60, 3)), (0, 0), 1.2
+        )
         shift = 18 if eye == "right" else 0
         floor = 128 + 40 * floor[:, shift : shift + image.shape[1]] / floor.std()
         cv2.imwrite(str(scene / f"{eye}.png"), np.clip(floor, 0, 255).astype(np.uint8))
@@ -199,7 +221,9 @@ def test_without_a_plane_of_bars_there_is_no_target(scene: Path) -> None:
 
 def test_a_disk_that_is_full_ends_the_run_in_one_line(scene: Path) -> None:
     """No file may grow beyond 20 kB: writing a cloud fails as on a full disk."""
-    line = refusal(run(scene, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))))
+    line = refusal(
+        run(scene, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000)))
+    )
     assert "can't be written" in line
     assert not (scene.parent / "out" / "frames.jsonl").exists()
 

@@ -10,7 +10,9 @@ NAMED = re.compile(r"`(test_\w+\.py)::(test_\w+)`")
 def test_every_test_that_the_table_names_exists() -> None:
     named = NAMED.findall((TESTS / "README.md").read_text(encoding="utf-8"))
     assert len(named) > 50
-    text = {file: (TESTS / file).read_text(encoding="utf-8") for file in {file for file, _ in named}}
+    text = {
+        file: (TESTS / file).read_text(encoding="utf-8") for file in {file for file, _ in named}
+    }
     assert [f"{file}::{name}" for file, name in named if f"def {name}(" not in text[file]] == []
 
 

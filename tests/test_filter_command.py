@@ -31,7 +31,9 @@ def command(*arguments: object) -> None:
 
 def test_keeps_columns_and_splits_the_cloud_in_two(noisy: Path, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
-    out, noise, scores, picture = (tmp_path / name for name in ("out.pcd", "noise.csv", "scores.npz", "factors.png"))
+    out, noise, scores, picture = (
+        tmp_path / name for name in ("out.pcd", "noise.csv", "scores.npz", "factors.png")
+    )
     command(noisy, out, "--keep-noise", noise, "--scores", scores, "--picture", picture)
     kept, removed = clouds.read(out), clouds.read(noise)
     assert len(kept) + len(removed) == 18_809
@@ -83,11 +85,15 @@ def test_bad_options(noisy: Path, tmp_path: Path, arguments: tuple[str, ...], wo
     assert not (tmp_path / "out.ply").exists()
 
 
-def test_a_cloud_that_is_nearly_emptied_is_warned_of_with_a_remedy(noisy: Path, tmp_path: Path) -> None:
+def test_a_cloud_that_is_nearly_emptied_is_warned_of_with_a_remedy(
+    noisy: Path, tmp_path: Path
+) -> None:
     load_verbs()
     said = {}
     for method in ("paper", "adaptive"):
-        result = CliRunner().invoke(app, ["filter", str(noisy), str(tmp_path / "out.ply"), "--method", method])
+        result = CliRunner().invoke(
+            app, ["filter", str(noisy), str(tmp_path / "out.ply"), "--method", method]
+        )
         assert result.exit_code == 0, result.output
         said[method] = " ".join(result.output.split())
     assert "% of the cloud is gone" in said["paper"]

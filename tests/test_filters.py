@@ -63,7 +63,9 @@ def test_few_points_give_an_answer(method: str, points: int) -> None:
 @pytest.mark.parametrize("method", METHODS)
 def test_rows_that_are_not_finite_are_removed_and_change_nothing_else(method: str) -> None:
     xyz = surface(500)
-    spoilt = np.insert(xyz, [0, 100, 500], [[np.nan] * 3, [0, np.inf, 0], [-np.inf] * 3], axis=0).astype(np.float32)
+    spoilt = np.insert(
+        xyz, [0, 100, 500], [[np.nan] * 3, [0, np.inf, 0], [-np.inf] * 3], axis=0
+    ).astype(np.float32)
     bad = ~np.isfinite(spoilt).all(1)
     clean, result = run(xyz, method), run(spoilt, method)
     assert not result.keep[bad].any()
@@ -157,19 +159,23 @@ def test_arguments_are_not_changed() -> None:
 
 def test_same_bytes_for_any_number_of_threads() -> None:
     code = (
-        "import hashlib, os, numpy as np\n"
-        "os.cpu_count = lambda: int(os.environ['THREADS'])\n"
-        "from stereo_ore.stages import filters\n"
-        "from stereo_ore.lab.bench.labelled import bare_cloud\n"
-        "from stereo_ore.config import FilterConfig\n"
-        "x = np.random.default_rng(0).normal(size=(20000, 3)) * [1, 1, 0.02]\n"
-        "r = [filters.apply(bare_cloud(x), FilterConfig(method=m)).score.tobytes() for m in ('adaptive', 'paper')]\n"
-        "print(hashlib.sha256(b''.join(r)).hexdigest())"
+        "import hashlib, os, numpy as np\nos.cpu_count = lambda: int(os.environ['THREADS'])\nfrom"
+        " stereo_ore.stages import filters\nfrom stereo_ore.lab.bench.labelled import"
+        " bare_cloud\nfrom stereo_ore.config import FilterConfig\nx ="
+        " np.random.default_rng(0).normal(size=(20000, 3)) * [1, 1, 0.02]\nr ="
+        " [filters.apply(bare_cloud(x), FilterConfig(method=m)).score.tobytes() for m in"
+        " ('adaptive', 'paper')]\nprint(hashlib.sha256(b''.join(r)).hexdigest())"
     )
     digests = set()
     for threads in ("1", "4"):
-        env = os.environ | dict.fromkeys(("THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), threads)
-        digests.add(subprocess.run([sys.executable, "-c", code], env=env, check=True, capture_output=True).stdout)
+        env = os.environ | dict.fromkeys(
+            ("THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), threads
+        )
+        digests.add(
+            subprocess.run(
+                [sys.executable, "-c", code], env=env, check=True, capture_output=True
+            ).stdout
+        )
     assert len(digests) == 1
 
 
@@ -186,7 +192,9 @@ def test_statistical_agrees_with_open3d() -> None:
     import open3d as o3d
 
     xyz = surface(1500).astype(float)
-    kept = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(xyz)).remove_statistical_outlier(21, 1.0)[1]
+    kept = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(xyz)).remove_statistical_outlier(
+        21, 1.0
+    )[1]
     ours = np.flatnonzero(run(xyz, "statistical", k=20).keep)
     assert len(set(kept) ^ set(ours)) < 15
 
@@ -203,9 +211,15 @@ def test_none_keeps_all() -> None:
     assert run(xyz, "none").keep.all()
 
 
-@given(seed=st.integers(0, 2**31), scale=st.sampled_from([1e-12, 1.0, 1e25]), queries=st.integers(1, 40))
+@given(
+    seed=st.integers(0, 2**31),
+    scale=st.sampled_from([1e-12, 1.0, 1e25]),
+    queries=st.integers(1, 40),
+)
 @settings(max_examples=20, deadline=None)
-def test_nearest_are_those_of_brute_force_with_and_without_flann(seed: int, scale: float, queries: int) -> None:
+def test_nearest_are_those_of_brute_force_with_and_without_flann(
+    seed: int, scale: float, queries: int
+) -> None:
     rng = np.random.default_rng(seed)
     points = (rng.normal(size=(90, 3)) * scale).astype(np.float32)
     at = (rng.normal(size=(queries, 3)) * scale).astype(np.float32)

@@ -41,10 +41,14 @@ def test_eigen_is_that_of_numpy() -> None:
     rng = np.random.default_rng(0)
     half = rng.normal(size=(300, 3, 3)) * [1, 0.3, 0.01]
     matrices = half @ half.transpose(0, 2, 1)
-    m = np.stack([matrices[:, i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))], 1)
+    m = np.stack(
+        [matrices[:, i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))], 1
+    )
     values, normal = eigen(m)
     np.testing.assert_allclose(values, np.linalg.eigvalsh(matrices), atol=1e-6)
-    np.testing.assert_allclose(np.einsum("nij,nj->ni", matrices, normal), values[:, :1] * normal, atol=1e-5)
+    np.testing.assert_allclose(
+        np.einsum("nij,nj->ni", matrices, normal), values[:, :1] * normal, atol=1e-5
+    )
     np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1)
 
 
@@ -117,7 +121,10 @@ def test_stereo_clouds_use_the_cues_in_image_space(stereo: LabelledCloud) -> Non
     blind = dataclasses.replace(stereo.voxels, cues={})
     assert filters.apply(blind, FilterConfig()).diagnostics["scorer"] == "geometry"
     quality = filter_quality(stereo.is_noise, ~result.keep)
-    assert quality.f1 > filter_quality(stereo.is_noise, removed(dataclasses.replace(stereo, voxels=blind))).f1
+    assert (
+        quality.f1
+        > filter_quality(stereo.is_noise, removed(dataclasses.replace(stereo, voxels=blind))).f1
+    )
     assert quality.retention > 0.85
 
 
@@ -125,7 +132,9 @@ def test_image_space_has_pixels_and_disparity(stereo: LabelledCloud) -> None:
     voxels = stereo.voxels
     image = image_space(voxels)
     focal = np.median(voxels.xyz[:, 2] / voxels.pixel_m)
-    np.testing.assert_allclose(image[:, 0], voxels.xyz[:, 0] / voxels.xyz[:, 2] * focal, rtol=1e-4, atol=1e-3)
+    np.testing.assert_allclose(
+        image[:, 0], voxels.xyz[:, 0] / voxels.xyz[:, 2] * focal, rtol=1e-4, atol=1e-3
+    )
     assert np.corrcoef(image[:, 2], 1 / voxels.xyz[:, 2])[0, 1] > 0.99
 
 
@@ -135,7 +144,9 @@ def test_scorer_survives_its_file_and_its_equation() -> None:
     network = Network([1.0, 0.0], [2.0, 1.0], [[1.0], [-1.0]], [0.5], [2.0], -1.0)
     features = np.array([[3.0, 0.25], [-9.0, 0.0]], np.float32)
     logits = [2 * max(0.0, 1.0 - 0.25 + 0.5) - 1, -1.0]
-    np.testing.assert_allclose(network.probability(features), [1 / (1 + np.exp(-v)) for v in logits], rtol=1e-5)
+    np.testing.assert_allclose(
+        network.probability(features), [1 / (1 + np.exp(-v)) for v in logits], rtol=1e-5
+    )
 
 
 def test_scorer_of_other_features_is_refused() -> None:
@@ -147,7 +158,10 @@ def test_scorer_of_other_features_is_refused() -> None:
 
 def test_what_the_cues_decide_is_not_judged_again(stereo: LabelledCloud) -> None:
     evidence = gather_stereo(stereo.voxels, 16)
-    first, final = load("stereo").passes[0].probability(evidence.cues), run_passes(evidence, load("stereo"))
+    first, final = (
+        load("stereo").passes[0].probability(evidence.cues),
+        run_passes(evidence, load("stereo")),
+    )
     sure = (first <= SURE) | (first >= 1 - SURE)
     assert 0.1 < sure.mean() < 0.95
     np.testing.assert_array_equal(final[sure], first[sure])
@@ -164,14 +178,18 @@ def test_all_voxels_decided_by_cues_need_no_neighbours(stereo: LabelledCloud) ->
 
 def test_closed_form_finds_offsets_that_density_does_not_see(protocol: list[LabelledCloud]) -> None:
     quality = filter_quality(protocol[1].is_noise, removed(protocol[1], "closed-form"))
-    assert quality.f1 > max(bench.judge(protocol[1], t).f1 for t in CONTENDERS if t.method == "paper")
+    assert quality.f1 > max(
+        bench.judge(protocol[1], t).f1 for t in CONTENDERS if t.method == "paper"
+    )
 
 
 def test_closed_form_is_its_equation() -> None:
     """A plane, and one point four spacings over it that no plane speaks for."""
     u, v = np.meshgrid(np.arange(20.0), np.arange(20.0))
     xyz = np.column_stack([u.ravel(), v.ravel(), np.zeros(u.size)])
-    xyz = np.concatenate([xyz + np.random.default_rng(0).normal(0, 0.01, xyz.shape), [[9.5, 9.5, 4.0]]])
+    xyz = np.concatenate(
+        [xyz + np.random.default_rng(0).normal(0, 0.01, xyz.shape), [[9.5, 9.5, 4.0]]]
+    )
     result = filters.apply(bare_cloud(xyz), FilterConfig(method="closed-form"))
     assert not result.keep[-1]
     assert result.score[-1] > 0.999

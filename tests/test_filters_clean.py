@@ -34,7 +34,11 @@ def test_shapes_that_no_training_has_lose_two_per_cent_at_most(name: str) -> Non
 
 def test_a_real_boulder_bed_is_kept(shared_data) -> None:  # type: ignore[no-untyped-def]
     bed = scan(shared_data / "stones" / "Otira_1cm_grains.ply")
-    lost = {c.name: (~kept(c.voxels.xyz)).mean() for c in clean_clouds(range(7, 8), [("bed", bed)]) if "bed" in c.name}
+    lost = {
+        c.name: (~kept(c.voxels.xyz)).mean()
+        for c in clean_clouds(range(7, 8), [("bed", bed)])
+        if "bed" in c.name
+    }
     assert len(lost) == 3
     assert max(lost.values()) <= 0.02, lost
 
@@ -61,7 +65,9 @@ def test_planting_leaves_the_surface_alone() -> None:
     clean = smooth()
     for kind in (*MOVED, *ADDED):
         xyz, noise = plant(np.random.default_rng(3), clean, 0.08, kind)
-        np.testing.assert_array_equal(xyz[: len(clean)][~noise[: len(clean)]], clean[~noise[: len(clean)]])
+        np.testing.assert_array_equal(
+            xyz[: len(clean)][~noise[: len(clean)]], clean[~noise[: len(clean)]]
+        )
     with pytest.raises(ValueError, match="no outliers are called"):
         plant(np.random.default_rng(3), clean, 0.08, "clump")
 
@@ -72,13 +78,19 @@ def test_normals_and_spacing_of_a_lattice() -> None:
     assert spacing(plane) == pytest.approx((4 + 4 * np.sqrt(2)) / 8)
 
 
-@pytest.mark.parametrize(("direction", "share"), [("isotropic", 0.148), ("normal", 0.564), ("ray", 0.099)])
-def test_scale_turn_and_order_decide_a_thousandth_at_most(direction: synth.Direction, share: float) -> None:
+@pytest.mark.parametrize(
+    ("direction", "share"), [("isotropic", 0.148), ("normal", 0.564), ("ray", 0.099)]
+)
+def test_scale_turn_and_order_decide_a_thousandth_at_most(
+    direction: synth.Direction, share: float
+) -> None:
     xyz, _ = synth.paper_cloud(4, direction, share)
     rng, config = np.random.default_rng(0), FilterConfig()
     keep = filters.apply(centred_cloud(xyz), config).keep
     order = rng.permutation(len(xyz))
-    np.testing.assert_array_equal(filters.apply(centred_cloud(xyz[order]), config).keep, keep[order])
+    np.testing.assert_array_equal(
+        filters.apply(centred_cloud(xyz[order]), config).keep, keep[order]
+    )
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     for moved in (xyz * 1e-3, xyz * 1e3, xyz @ turn):
         assert (filters.apply(centred_cloud(moved), config).keep != keep).mean() <= 0.001
@@ -102,7 +114,9 @@ def network(seed: int, units: int = 5) -> Network:
     rng = np.random.default_rng(seed)
     mean, scale = [0.5, 1.0, -1.0], [1.0, 2.0, 0.5]
     weights = rng.normal(size=(3, units)).tolist()
-    return Network(mean, scale, weights, rng.normal(size=units).tolist(), rng.normal(size=units).tolist(), 0.3)
+    return Network(
+        mean, scale, weights, rng.normal(size=units).tolist(), rng.normal(size=units).tolist(), 0.3
+    )
 
 
 def logit(p: np.ndarray) -> np.ndarray:
@@ -128,7 +142,9 @@ def foretold(noise: np.ndarray, threshold: float) -> tuple[float, float]:
 
 @pytest.mark.parametrize("most_lost", [0.02, 0.06, 1.0])
 @pytest.mark.parametrize("power", [1.0, 3.0, 8.0])
-def test_the_decision_has_the_greatest_f1_foretold_that_spares_the_good(most_lost: float, power: float) -> None:
+def test_the_decision_has_the_greatest_f1_foretold_that_spares_the_good(
+    most_lost: float, power: float
+) -> None:
     noise = (np.random.default_rng(0).random(400) ** power).astype(np.float32)
     threshold = Scorer([], [], 0.2, most_lost).decide(noise)
     f1, lost = foretold(noise, threshold)

@@ -38,14 +38,20 @@ def statistical(xyz: np.ndarray, program: str, k: int, ratio: float) -> set[int]
 @pytest.mark.parametrize("k", [1, 2, 9, 20])
 @pytest.mark.parametrize("ratio", [0.1, 1.0, 2.0])
 def test_open3d_statistical(name: str, k: int, ratio: float) -> None:
-    theirs = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(CLOUDS[name])).remove_statistical_outlier(k, ratio)[1]
+    theirs = o3d.geometry.PointCloud(
+        o3d.utility.Vector3dVector(CLOUDS[name])
+    ).remove_statistical_outlier(k, ratio)[1]
     assert statistical(CLOUDS[name], "open3d", k, ratio) == set(theirs)
 
 
 @pytest.mark.parametrize("name", CLOUDS)
-@pytest.mark.parametrize(("n", "radius"), [(1, 0.01), (4, 0.1), (4, 0.02), (6, 0.1), (4, 1.0), (10, 1.5)])
+@pytest.mark.parametrize(
+    ("n", "radius"), [(1, 0.01), (4, 0.1), (4, 0.02), (6, 0.1), (4, 1.0), (10, 1.5)]
+)
 def test_open3d_radius(name: str, n: int, radius: float) -> None:
-    theirs = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(CLOUDS[name])).remove_radius_outlier(n, radius)[1]
+    theirs = o3d.geometry.PointCloud(
+        o3d.utility.Vector3dVector(CLOUDS[name])
+    ).remove_radius_outlier(n, radius)[1]
     ours = apply_like("open3d", CLOUDS[name], RadiusParams(n=n, radius_m=radius)).keep
     assert set(np.flatnonzero(ours)) == set(theirs)
 
@@ -74,21 +80,30 @@ def test_programs_that_keep_up_to_the_limit(
             expected = set(np.flatnonzero(mean <= mean.mean() + ratio * mean.std(ddof=freedom)))
             found = statistical(CLOUDS[name], program, k, ratio)
             # Lattices have whole rows of points at the limit.
-            close = np.flatnonzero(np.isclose(mean, mean.mean() + ratio * mean.std(ddof=freedom), rtol=1e-9))
+            close = np.flatnonzero(
+                np.isclose(mean, mean.mean() + ratio * mean.std(ddof=freedom), rtol=1e-9)
+            )
             assert found ^ expected <= set(close)
 
 
 def test_the_same_set_by_each_programs_own_k() -> None:
-    """Open3D's 9 are CloudCompare's 9, and the 8 of PCL and cars-filter, but for the deviation's degree of freedom."""
+    """Open3D's 9 are CloudCompare's 9, and the 8 of PCL and cars-filter, but for the deviation's
+    degree of freedom."""
     xyz = CLOUDS["paper"]
-    sets = [statistical(xyz, p, k, 1.0) for p, k in (("open3d", 9), ("cloudcompare", 9), ("pcl", 8), ("cars", 8))]
+    sets = [
+        statistical(xyz, p, k, 1.0)
+        for p, k in (("open3d", 9), ("cloudcompare", 9), ("pcl", 8), ("cars", 8))
+    ]
     assert all(len(sets[0] ^ other) <= 2 for other in sets)
     assert len(sets[0] ^ statistical(xyz, "open3d", 8, 1.0)) > 2
 
 
 def test_a_neighbour_at_exactly_the_radius() -> None:
     xyz = CLOUDS["whole numbers"]
-    kept = {p: apply_like(p, xyz, RadiusParams(n=3, radius_m=1.0)).keep.mean() for p in ("open3d", "pcl")}
+    kept = {
+        p: apply_like(p, xyz, RadiusParams(n=3, radius_m=1.0)).keep.mean()
+        for p in ("open3d", "pcl")
+    }
     assert kept == {"open3d": 0.0, "pcl": 1.0}
 
 
@@ -110,11 +125,24 @@ def test_the_command_keeps_what_open3d_keeps(tmp_path: Path) -> None:
     load_verbs()
     xyz, path = CLOUDS["paper"] * 1000, tmp_path / "mm.ply"
     clouds.write(path, clouds.from_array(xyz, path))
-    arguments = [path, tmp_path / "out.npy", "--unit", "mm", "--method", "radius", "--like", "open3d"]
+    arguments = [
+        path,
+        tmp_path / "out.npy",
+        "--unit",
+        "mm",
+        "--method",
+        "radius",
+        "--like",
+        "open3d",
+    ]
     arguments += ["--set", "radius_m=0.03", "--set", "n=4"]
     result = CliRunner().invoke(app, ["-q", "filter", *map(str, arguments)])
     assert result.exit_code == 0, result.output
-    theirs = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(xyz)).remove_radius_outlier(4, 30.0)[1]
+    theirs = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(xyz)).remove_radius_outlier(
+        4, 30.0
+    )[1]
     assert len(clouds.read(tmp_path / "out.npy")) == len(theirs)
-    bad = CliRunner().invoke(app, ["-q", "filter", str(path), str(tmp_path / "o.ply"), "--unit", "mm", "--like", "pcl"])
+    bad = CliRunner().invoke(
+        app, ["-q", "filter", str(path), str(tmp_path / "o.ply"), "--unit", "mm", "--like", "pcl"]
+    )
     assert isinstance(bad.exception, StereoOreError)

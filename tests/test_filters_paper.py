@@ -39,21 +39,32 @@ class PlainLoops:
             low = [r for r, is_noise in zip(self.rho, self.noise, strict=True) if is_noise]
             high = [r for r, is_noise in zip(self.rho, self.noise, strict=True) if not is_noise]
             noise_centre, kept_centre = sum(low) / len(low), sum(high) / len(high)
-        self.mu = [sum(low) / len(low) if is_noise else sum(high) / len(high) for is_noise in self.noise]
+        self.mu = [
+            sum(low) / len(low) if is_noise else sum(high) / len(high) for is_noise in self.noise
+        ]
         self.k_sigma = p.k_sigma or max(p.k_grid, key=self.mean_sigma)
         unclamped = [
-            math.floor(p.alpha * m / r + p.beta * self.k_sigma) for m, r in zip(self.mu, self.rho, strict=True)
+            math.floor(p.alpha * m / r + p.beta * self.k_sigma)
+            for m, r in zip(self.mu, self.rho, strict=True)
         ]
         self.k = [min(max(k, p.k_min), p.k_max) for k in unclamped]
-        entering = self.rho if p.density_at == "k0" else [self.density(i, self.k[i]) for i in range(n)]
-        self.lof = [sum(entering[j] for j in self.order[i][: self.k[i]]) / self.k[i] / entering[i] for i in range(n)]
+        entering = (
+            self.rho if p.density_at == "k0" else [self.density(i, self.k[i]) for i in range(n)]
+        )
+        self.lof = [
+            sum(entering[j] for j in self.order[i][: self.k[i]]) / self.k[i] / entering[i]
+            for i in range(n)
+        ]
 
     def density(self, i: int, k: int) -> float:
         return 1 / (sum(self.d[i][:k]) / k)
 
     def mean_sigma(self, k: int) -> float:
         rho = [self.density(i, k) for i in range(len(self.d))]
-        sigma = [math.sqrt(sum((rho[j] - rho[i]) ** 2 for j in self.order[i][:k]) / k) for i in range(len(self.d))]
+        sigma = [
+            math.sqrt(sum((rho[j] - rho[i]) ** 2 for j in self.order[i][:k]) / k)
+            for i in range(len(self.d))
+        ]
         return sum(sigma) / len(sigma)
 
 
@@ -90,14 +101,19 @@ def test_the_printed_threshold_removes_about_half_of_the_good_points() -> None:
 
 def test_mask_stays_under_scaling_by_powers_of_two() -> None:
     xyz = cloud(200)
-    masks = [filters.apply(bare_cloud(xyz * scale), FilterConfig(method="paper")).keep for scale in (1, 1024, 0.125)]
+    masks = [
+        filters.apply(bare_cloud(xyz * scale), FilterConfig(method="paper")).keep
+        for scale in (1, 1024, 0.125)
+    ]
     np.testing.assert_array_equal(masks[0], masks[1])
     np.testing.assert_array_equal(masks[0], masks[2])
 
 
 def test_two_clusters_split_at_the_gap_and_survive_one_value() -> None:
     values = np.array([1, 1.1, 0.9, 9, 9.2, 8.7], np.float32)
-    np.testing.assert_array_equal(two_clusters(values, (0.0, 10.0)), [True, True, True, False, False, False])
+    np.testing.assert_array_equal(
+        two_clusters(values, (0.0, 10.0)), [True, True, True, False, False, False]
+    )
     assert not two_clusters(np.ones(5, np.float32), (1.0, 1.0)).any()
 
 

@@ -14,7 +14,8 @@ FRAMES = 3
 
 @pytest.fixture
 def recording(synth_folder: Path, tmp_path: Path) -> Path:
-    """Two groups of three frames: a still one with fresh noise, and one in which every frame is shifted."""
+    """Two groups of three frames: a still one with fresh noise, and one in which every frame is
+    shifted."""
     folder = tmp_path / "recording"
     rng = np.random.default_rng(0)
     for eye in ("left", "right"):
@@ -31,9 +32,25 @@ def test_still_frames_are_one_record_and_moving_ones_a_reason(
     recording: Path, synth_folder: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
-    inputs = ["--calib", str(synth_folder / "calibration.yaml"), "--site", str(synth_folder / "site.yaml")]
+    inputs = [
+        "--calib",
+        str(synth_folder / "calibration.yaml"),
+        "--site",
+        str(synth_folder / "site.yaml"),
+    ]
     with pytest.raises(SystemExit):
-        launch(["run", str(recording), *inputs, "--out", str(out), "--fuse", str(FRAMES), "--no-report"])
+        launch(
+            [
+                "run",
+                str(recording),
+                *inputs,
+                "--out",
+                str(out),
+                "--fuse",
+                str(FRAMES),
+                "--no-report",
+            ]
+        )
     records = [json.loads(line) for line in (out / "frames.jsonl").read_text().splitlines()]
     assert [record["frame"] for record in records] == ["000", "003"]
     still, moving = records

@@ -31,7 +31,9 @@ def assert_found(found: Grizzly, screen: Screen, angle: float = 0.6, height: flo
     assert found.bars is not None
     assert angle_deg(found.bars.direction, screen.axes[0]) < 2
     assert found.bars.pitch_m == pytest.approx(PITCH, rel=0.03)
-    offset = (np.array([0, 0, DISTANCE]) @ found.bars.across - found.bars.phase_m) / found.bars.pitch_m
+    offset = (
+        np.array([0, 0, DISTANCE]) @ found.bars.across - found.bars.phase_m
+    ) / found.bars.pitch_m
     assert abs(offset - round(offset)) * PITCH < 0.25 * WIDTH
 
 
@@ -63,7 +65,9 @@ def test_measures_bars_that_nobody_described(site):
 
 def test_bars_that_the_image_does_not_show_are_as_wide_as_depth_says():
     surface, _ = draw(Screen(tilt=0.2, yaw=0.5, half=0.7, noise_px=0.1))
-    dark = replace(surface, bgr=np.random.default_rng(0).integers(0, 5, surface.bgr.shape).astype(np.uint8))
+    dark = replace(
+        surface, bgr=np.random.default_rng(0).integers(0, 5, surface.bgr.shape).astype(np.uint8)
+    )
     found = grizzly.find(dark, IN_VOLUME, CONFIG)
     assert found.opening_m == pytest.approx(OPENING, rel=0.25)
     assert found.diagnostics["bar_width_from"] == "depth"
@@ -179,7 +183,9 @@ def test_the_screen_of_a_synth_scene(synth_scene: synth.Scene):
     v, u = np.mgrid[: rig.height, : rig.width]
     xyz = rig.back_project(u, v, synth_scene.depth_m).astype(np.float32)
     xyz[~site.volume.contains(xyz)] = np.nan
-    surface = Surface(xyz, synth_scene.pair.left, rig.depth_sigma(xyz[..., 2], 0.15).astype(np.float32), 0, 0, rig)
+    surface = Surface(
+        xyz, synth_scene.pair.left, rig.depth_sigma(xyz[..., 2], 0.15).astype(np.float32), 0, 0, rig
+    )
     found = grizzly.find(surface, replace(site, plane=None), CONFIG)
     assert angle_deg(found.plane.normal, site.plane.normal) < 0.5
     assert found.plane.offset == pytest.approx(site.plane.offset, abs=0.005)

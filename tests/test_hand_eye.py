@@ -1,4 +1,5 @@
-"""The camera in the arm's frame: touched points and poses with a board, by simulation with noise."""
+"""The camera in the arm's frame: touched points and poses with a board, by simulation with
+noise."""
 
 import subprocess
 from pathlib import Path
@@ -25,7 +26,14 @@ BOARD = Board(9, 6, 0.05)
 T_ARM_CAMERA = from_vector(np.array([2.8, 0.2, -0.3, 0.4, -0.65, 2.6]))
 T_TOOL_CAMERA = from_vector(np.array([0.1, -0.2, 1.5, 0.05, -0.08, 0.02]))
 PLACES = np.array(
-    [[-0.5, -0.3, 2.2], [0.6, -0.3, 2.4], [0.0, 0.35, 2.0], [-0.4, 0.3, 2.3], [0.5, 0.25, 1.9], [0.1, -0.1, 2.1]]
+    [
+        [-0.5, -0.3, 2.2],
+        [0.6, -0.3, 2.4],
+        [0.0, 0.35, 2.0],
+        [-0.4, 0.3, 2.3],
+        [0.5, 0.25, 1.9],
+        [0.1, -0.1, 2.1],
+    ]
 )
 
 
@@ -64,7 +72,9 @@ def test_the_accuracy_is_that_of_the_pixels() -> None:
 def test_an_outlier_is_named(bad: int) -> None:
     points = touched(noise_px=0.2)
     wrong = points[bad]
-    points[bad] = Touched(wrong.name, (wrong.arm_m[0] + 0.1, *wrong.arm_m[1:]), wrong.left_px, wrong.right_px)
+    points[bad] = Touched(
+        wrong.name, (wrong.arm_m[0] + 0.1, *wrong.arm_m[1:]), wrong.left_px, wrong.right_px
+    )
     result = fit_touched(points, RIG)
     assert result.dropped == (wrong.name,)
     assert result.residual_mm[bad] > 50
@@ -97,8 +107,11 @@ def test_pixels_that_meet_behind_the_camera_are_refused_by_name() -> None:
         fit_touched(points, RIG)
 
 
-def arm_views(count: int, mount: Mount, px: float = 0.0, mm: float = 0.0, seed: int = 0) -> list[ArmView]:
-    """Poses that show the board, with noise of the pixels and of the arm (and a tenth of a degree a millimetre)."""
+def arm_views(
+    count: int, mount: Mount, px: float = 0.0, mm: float = 0.0, seed: int = 0
+) -> list[ArmView]:
+    """Poses that show the board, with noise of the pixels and of the arm (and a tenth of a degree a
+    millimetre)."""
     rng = np.random.default_rng(seed)
     T_tool_board = from_vector(np.array([0.1, -0.2, 0.3, -0.25, -0.15, 0.1]))
     T_arm_board = from_vector(np.array([0.05, 0.1, 1.0, 1.5, 0.3, -0.2]))
@@ -114,7 +127,9 @@ def arm_views(count: int, mount: Mount, px: float = 0.0, mm: float = 0.0, seed: 
             T_arm_tool = T_ARM_CAMERA @ T_camera_board @ inverse(T_tool_board)
         else:
             T_arm_tool = T_arm_board @ inverse(T_camera_board) @ inverse(T_TOOL_CAMERA)
-        shaken = np.concatenate([rng.normal(0, np.radians(0.1 * mm), 3), rng.normal(0, mm / 1000, 3)])
+        shaken = np.concatenate(
+            [rng.normal(0, np.radians(0.1 * mm), 3), rng.normal(0, mm / 1000, 3)]
+        )
         ids = np.arange(len(BOARD.points), dtype=np.int32)
         left, right = (Corners(ids, seen + rng.normal(0, px, seen.shape)) for seen in eyes)
         views.append(ArmView(f"pose {len(views)}", T_arm_tool @ from_vector(shaken), left, right))
@@ -130,7 +145,10 @@ def test_exact_poses_give_the_exact_transform(mount: Mount, truth: F64) -> None:
 
 @pytest.mark.parametrize(("px", "mm", "limit"), [(0.2, 0.0, 2.0), (0.2, 1.0, 5.0)])
 def test_the_accuracy_is_that_of_pixels_and_arm(px: float, mm: float, limit: float) -> None:
-    errors = [error_mm(fit_hand_eye(arm_views(12, "fixed", px, mm, seed), BOARD, RIG)) for seed in range(4)]
+    errors = [
+        error_mm(fit_hand_eye(arm_views(12, "fixed", px, mm, seed), BOARD, RIG))
+        for seed in range(4)
+    ]
     assert np.median(errors) < limit
 
 
@@ -150,7 +168,10 @@ def test_few_poses_and_turns_about_one_axis_are_refused() -> None:
     spun = []
     for k in range(4):
         T_camera_board = from_vector(np.array([0, 0, 0.2 * k, -0.2, -0.1, 1.2]))
-        eyes = [Corners(one.left.ids, px) for px in rectified_to_raw(RIG, apply(T_camera_board, BOARD.points))]
+        eyes = [
+            Corners(one.left.ids, px)
+            for px in rectified_to_raw(RIG, apply(T_camera_board, BOARD.points))
+        ]
         spun.append(ArmView(str(k), T_ARM_CAMERA @ T_camera_board, *eyes))
     with pytest.raises(CalibrationError, match="one axis"):
         fit_hand_eye(spun, BOARD, RIG)
@@ -161,7 +182,9 @@ def test_opencv_agrees_where_it_has_the_methods() -> None:
         pytest.skip("the Python of this OpenCV has no calibrateHandEye")
     from stereo_ore.calibrate import hand_eye
 
-    seen = [hand_eye._Seen(inverse(v.T_arm_tool), T) for v, T in zip(*views_and_boards(), strict=True)]
+    seen = [
+        hand_eye._Seen(inverse(v.T_arm_tool), T) for v, T in zip(*views_and_boards(), strict=True)
+    ]
     for method in hand_eye.METHODS:
         assert np.abs(hand_eye._opencv(seen, method) - T_ARM_CAMERA).max() < 1e-5
 
@@ -177,7 +200,9 @@ def test_rigid_fit_and_rotation_vectors_are_inverse_to_each_other() -> None:
     for _ in range(20):
         vector = rng.normal(0, 0.8, 6)
         points = rng.normal(0, 1, (5, 3))
-        assert to_vector(fit_rigid(apply(from_vector(vector), points), points)) == pytest.approx(vector, abs=1e-9)
+        assert to_vector(fit_rigid(apply(from_vector(vector), points), points)) == pytest.approx(
+            vector, abs=1e-9
+        )
     assert np.linalg.det(nearest_rotation(np.diag([1.0, 1.0, -1.0]))) == pytest.approx(1)
 
 
@@ -200,8 +225,12 @@ def test_point_tables_round_trip(tmp_path: Path) -> None:
 
 def test_poses_as_rotation_vector_and_as_quaternion(tmp_path: Path) -> None:
     half = np.sqrt(0.5)
-    by_vector = read_poses(table(tmp_path, "name,x_m,y_m,z_m,rx_rad,ry_rad,rz_rad", f"a,1,2,3,0,0,{np.pi / 2}"))["a"]
-    by_quaternion = read_poses(table(tmp_path, "name,x_m,y_m,z_m,qx,qy,qz,qw", f"a,1,2,3,0,0,{half},{half}"))["a"]
+    by_vector = read_poses(
+        table(tmp_path, "name,x_m,y_m,z_m,rx_rad,ry_rad,rz_rad", f"a,1,2,3,0,0,{np.pi / 2}")
+    )["a"]
+    by_quaternion = read_poses(
+        table(tmp_path, "name,x_m,y_m,z_m,qx,qy,qz,qw", f"a,1,2,3,0,0,{half},{half}")
+    )["a"]
     assert by_vector == pytest.approx(by_quaternion)
     assert apply(by_vector, [1, 0, 0]) == pytest.approx([1, 3, 3])
 
@@ -217,7 +246,9 @@ def test_poses_as_rotation_vector_and_as_quaternion(tmp_path: Path) -> None:
         ("", "", "column is missing"),
     ],
 )
-def test_a_broken_table_names_line_and_column(tmp_path: Path, header: str, row: str, word: str) -> None:
+def test_a_broken_table_names_line_and_column(
+    tmp_path: Path, header: str, row: str, word: str
+) -> None:
     with pytest.raises(CalibrationError, match=word):
         read_touched(table(tmp_path, header, row))
 
@@ -230,13 +261,28 @@ def test_a_quaternion_of_another_length_is_refused(tmp_path: Path) -> None:
 def test_the_command_writes_a_site_with_residuals(tmp_path: Path) -> None:
     save(RIG, tmp_path / "camera.yaml")
     points = table(tmp_path, POINT_HEADER, *map(point_row, touched(noise_px=0.2)))
-    line = ["stereo-ore", "calibrate", "hand-eye", "--points", points, "--calib", tmp_path / "camera.yaml", "--out"]
-    done = subprocess.run([*line, tmp_path / "site.yaml"], capture_output=True, text=True, check=True)
+    line = [
+        "stereo-ore",
+        "calibrate",
+        "hand-eye",
+        "--points",
+        points,
+        "--calib",
+        tmp_path / "camera.yaml",
+        "--out",
+    ]
+    done = subprocess.run(
+        [*line, tmp_path / "site.yaml"], capture_output=True, text=True, check=True
+    )
     assert "6 of 6 used" in done.stdout
     assert np.abs(load_site(tmp_path / "site.yaml").T_arm_camera - T_ARM_CAMERA).max() < 0.02
-    strict = subprocess.run([*line, tmp_path / "x.yaml", "--limit-mm", "0.001"], capture_output=True, check=False)
+    strict = subprocess.run(
+        [*line, tmp_path / "x.yaml", "--limit-mm", "0.001"], capture_output=True, check=False
+    )
     assert strict.returncode == 3
-    nothing = subprocess.run(line[:3] + line[5:] + [tmp_path / "x.yaml"], capture_output=True, text=True, check=False)
+    nothing = subprocess.run(
+        line[:3] + line[5:] + [tmp_path / "x.yaml"], capture_output=True, text=True, check=False
+    )
     assert (nothing.returncode, "--points" in nothing.stderr) == (2, True)
 
 
@@ -246,13 +292,26 @@ def test_the_command_finds_the_arm_from_pictures_of_a_board(tmp_path: Path) -> N
     rows = ["name,x_m,y_m,z_m,rx_rad,ry_rad,rz_rad"]
     turns = ((0.5, 0, 0), (-0.4, 0.1, 0.3), (0, 0.5, -0.3), (0.1, -0.5, 0.2), (0.3, 0.4, 0.5))
     for index, turn in enumerate(turns):
-        T_camera_board = from_vector(np.array([*turn, -0.1, -0.05 - 0.02 * index, 0.6 + 0.04 * index]))
+        T_camera_board = from_vector(
+            np.array([*turn, -0.1, -0.05 - 0.02 * index, 0.6 + 0.04 * index])
+        )
         vector = to_vector(T_ARM_CAMERA @ T_camera_board @ inverse(T_tool_board))
         rows.append(",".join(map(str, [f"{index:02d}", *vector[3:], *vector[:3]])))
-        for side, image in zip(("left", "right"), rendered_pair(board, T_camera_board), strict=True):
+        for side, image in zip(
+            ("left", "right"), rendered_pair(board, T_camera_board), strict=True
+        ):
             cv2.imwrite(str(tmp_path / f"{side}{index:02d}.png"), image)
     save(small_rig(), tmp_path / "camera.yaml")
-    line = ["stereo-ore", "calibrate", "hand-eye", tmp_path, "--poses", table(tmp_path, *rows), "--board", "7x5"]
+    line = [
+        "stereo-ore",
+        "calibrate",
+        "hand-eye",
+        tmp_path,
+        "--poses",
+        table(tmp_path, *rows),
+        "--board",
+        "7x5",
+    ]
     line += [
         "--square-mm",
         "50",

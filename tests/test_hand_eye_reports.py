@@ -1,4 +1,5 @@
-"""Hand-eye tables that people really have: what they hold is named, and what explains nothing makes no site."""
+"""Hand-eye tables that people really have: what they hold is named, and what explains nothing makes
+no site."""
 
 import subprocess
 from pathlib import Path
@@ -15,7 +16,13 @@ from stereo_ore.calibrate.touched import Touched, fit_touched
 from stereo_ore.errors import CalibrationError
 from stereo_ore.io.calibration import save
 from stereo_ore.io.calibration.pose_names import match_names
-from stereo_ore.io.calibration.readings import PoseTable, Reading, fitting_readings, parse_reading, poses
+from stereo_ore.io.calibration.readings import (
+    PoseTable,
+    Reading,
+    fitting_readings,
+    parse_reading,
+    poses,
+)
 from stereo_ore.io.site import load_site
 
 TRUTH = np.array([[1, 0, 0, 0.10], [0, -0.8, 0.6, -0.45], [0, -0.6, -0.8, 1.10], [0, 0, 0, 1]])
@@ -26,11 +33,23 @@ def hand_eye(*words: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(line, capture_output=True, text=True, check=False)
 
 
-def from_board(folder: Path, table: Path, out: Path, *more: object) -> subprocess.CompletedProcess[str]:
+def from_board(
+    folder: Path, table: Path, out: Path, *more: object
+) -> subprocess.CompletedProcess[str]:
     board = ("--board", "9x6") if "--board" not in more else ()
     calib = folder / "calib.yaml"
     return hand_eye(
-        folder / "board", "--poses", table, *board, "--square-mm", 40, "--calib", calib, "--out", out, *more
+        folder / "board",
+        "--poses",
+        table,
+        *board,
+        "--square-mm",
+        40,
+        "--calib",
+        calib,
+        "--out",
+        out,
+        *more,
     )
 
 
@@ -43,7 +62,9 @@ def test_01_handeye_angles(shared_data: Path, tmp_path: Path) -> None:
     assert euler.returncode == 3
     assert not (tmp_path / "euler.yaml").exists()
     assert "Euler angles in radians, Rz·Ry·Rx" in euler.stderr.splitlines()[0]
-    taken = from_board(folder, folder / "euler_rad.csv", tmp_path / "euler.yaml", "--table", "zyx-rad")
+    taken = from_board(
+        folder, folder / "euler_rad.csv", tmp_path / "euler.yaml", "--table", "zyx-rad"
+    )
     assert taken.returncode == 0, taken.stderr
     assert np.abs(load_site(tmp_path / "euler.yaml").T_arm_camera - TRUTH).max() < 3e-4
     squares = from_board(folder, folder / "good.csv", tmp_path / "x.yaml", "--board", "10x7")
@@ -55,7 +76,10 @@ def test_01_handeye_degrees(shared_data: Path, tmp_path: Path) -> None:
     folder = shared_data / "reports2/01-handeye-angles"
     lines = (folder / "good.csv").read_text().splitlines()
     rows = [line.split(",") for line in lines[1:]]
-    degrees = [",".join([*row[:4], *(f"{np.degrees(float(cell)):.4f}" for cell in row[4:])]) for row in rows]
+    degrees = [
+        ",".join([*row[:4], *(f"{np.degrees(float(cell)):.4f}" for cell in row[4:])])
+        for row in rows
+    ]
     (tmp_path / "deg.csv").write_text("\n".join([lines[0], *degrees]))
     done = from_board(folder, tmp_path / "deg.csv", tmp_path / "s.yaml")
     assert done.returncode == 3
@@ -66,7 +90,9 @@ def test_01_handeye_degrees(shared_data: Path, tmp_path: Path) -> None:
 
 def test_03_handeye_names(shared_data: Path, tmp_path: Path) -> None:
     folder = shared_data / "reports2"
-    done = from_board(folder / "01-handeye-angles", folder / "03-handeye-names/excel.csv", tmp_path / "s.yaml")
+    done = from_board(
+        folder / "01-handeye-angles", folder / "03-handeye-names/excel.csv", tmp_path / "s.yaml"
+    )
     assert done.returncode == 0, done.stderr
     assert np.abs(load_site(tmp_path / "s.yaml").T_arm_camera - TRUTH).max() < 3e-4
 
@@ -80,12 +106,15 @@ def test_03_handeye_names(shared_data: Path, tmp_path: Path) -> None:
         (["Pose 3.0", "Pose 4.0"], ["3", "4"], {"3": 0, "4": 1}),
     ],
 )
-def test_names_are_put_together_when_that_is_the_only_way(rows: list, frames: list, wanted: dict) -> None:
+def test_names_are_put_together_when_that_is_the_only_way(
+    rows: list, frames: list, wanted: dict
+) -> None:
     assert match_names(rows, frames) == wanted
 
 
 @pytest.mark.parametrize(
-    ("rows", "frames"), [(["1", "01"], ["0001", "2"]), (["x", "y"], ["0001", "0002"]), (["1_1", "1_2"], ["1", "2"])]
+    ("rows", "frames"),
+    [(["1", "01"], ["0001", "2"]), (["x", "y"], ["0001", "0002"]), (["1_1", "1_2"], ["1", "2"])],
 )
 def test_names_that_match_in_no_single_way_are_shown(rows: list, frames: list) -> None:
     with pytest.raises(CalibrationError, match=f"{rows[0]}.*{frames[0]}"):
@@ -95,12 +124,16 @@ def test_names_that_match_in_no_single_way_are_shown(rows: list, frames: list) -
 def test_02_handeye_mirrored(shared_data: Path, tmp_path: Path) -> None:
     folder = shared_data / "reports2/02-handeye-mirrored"
     calib = Path(__file__).parents[1] / "data" / "paper_03" / "calibration.yaml"
-    good = hand_eye("--points", folder / "good.csv", "--calib", calib, "--out", tmp_path / "good.yaml")
+    good = hand_eye(
+        "--points", folder / "good.csv", "--calib", calib, "--out", tmp_path / "good.yaml"
+    )
     assert good.returncode == 0, good.stderr
     camera = load_site(tmp_path / "good.yaml").T_arm_camera[:3, 3]
     assert np.abs(camera - [0.141, -0.421, 0.810]).max() < 0.03
     for name, words in (("y_to_the_right", "left-handed"), ("centimetres", "centimetres")):
-        done = hand_eye("--points", folder / f"{name}.csv", "--calib", calib, "--out", tmp_path / "bad.yaml")
+        done = hand_eye(
+            "--points", folder / f"{name}.csv", "--calib", calib, "--out", tmp_path / "bad.yaml"
+        )
         assert done.returncode != 0
         assert words in done.stderr
         assert not (tmp_path / "bad.yaml").exists()
@@ -118,7 +151,10 @@ def test_02_handeye_mirrored(shared_data: Path, tmp_path: Path) -> None:
     ],
 )
 def test_touched_points_in_another_unit_are_named(factor: float, words: str) -> None:
-    points = [Touched(p.name, tuple(factor * c for c in p.arm_m), p.left_px, p.right_px) for p in touched(noise_px=0.2)]
+    points = [
+        Touched(p.name, tuple(factor * c for c in p.arm_m), p.left_px, p.right_px)
+        for p in touched(noise_px=0.2)
+    ]
     with pytest.raises(CalibrationError, match=words):
         fit_touched(points, RIG)
 
@@ -127,7 +163,9 @@ def test_touched_points_in_another_unit_are_named(factor: float, words: str) -> 
 def test_a_left_handed_arm_is_named_whichever_axis_is_turned(axis: int) -> None:
     sign = [-1.0 if i == axis else 1.0 for i in range(3)]
     points = [
-        Touched(p.name, tuple(s * c for s, c in zip(sign, p.arm_m, strict=True)), p.left_px, p.right_px)
+        Touched(
+            p.name, tuple(s * c for s, c in zip(sign, p.arm_m, strict=True)), p.left_px, p.right_px
+        )
         for p in touched(noise_px=0.2)
     ]
     with pytest.raises(CalibrationError, match="left-handed"):
@@ -135,7 +173,9 @@ def test_a_left_handed_arm_is_named_whichever_axis_is_turned(axis: int) -> None:
 
 
 def as_table(T: list, rotations: np.ndarray, unit: float = 1.0) -> PoseTable:
-    return PoseTable(tuple(map(str, range(len(T)))), np.array([t[:3, 3] for t in T]) / unit, rotations)
+    return PoseTable(
+        tuple(map(str, range(len(T)))), np.array([t[:3, 3] for t in T]) / unit, rotations
+    )
 
 
 TABLES = {
@@ -157,7 +197,10 @@ def test_each_usual_table_is_known_by_the_board(code: str, inverted: bool, unit:
     T = [np.linalg.inv(view.T_arm_tool) if inverted else view.T_arm_tool for view in views]
     metres = {"m": 1.0, "mm": 0.001, "inch": 0.0254}[unit]
     table = as_table(T, TABLES[code](Rotation.from_matrix([t[:3, :3] for t in T])), metres)
-    best, left = min(fitting_readings(table, boards, fixed=True), key=lambda fit: fit[1] * (2 if fit[0].mirror else 1))
+    best, left = min(
+        fitting_readings(table, boards, fixed=True),
+        key=lambda fit: fit[1] * (2 if fit[0].mirror else 1),
+    )
     assert 1000 * left < limit_mm
     assert (best.inverse, best.unit, best.mirror) == (inverted, unit, "")
     for found, wanted in zip(poses(table, best), views, strict=True):
@@ -182,11 +225,15 @@ def test_a_wrong_value_of_table_is_refused() -> None:
             parse_reading(code)
 
 
-@pytest.mark.parametrize("name", ["bom", "comma", "german", "latin", "semicolon", "sep", "tab", "upper", "utf16"])
+@pytest.mark.parametrize(
+    "name", ["bom", "comma", "german", "latin", "semicolon", "sep", "tab", "upper", "utf16"]
+)
 def test_22_hand_eye_excel(name: str, shared_data: Path) -> None:
     folder = shared_data / "reports/22-hand-eye-excel"
     points, plain = read_touched(folder / f"{name}.csv"), read_touched(folder / "comma.csv")
-    assert [(p.arm_m, p.left_px, p.right_px) for p in points] == [(p.arm_m, p.left_px, p.right_px) for p in plain]
+    assert [(p.arm_m, p.left_px, p.right_px) for p in points] == [
+        (p.arm_m, p.left_px, p.right_px) for p in plain
+    ]
     assert points[0].arm_m == (0.12199, 0.15649, -0.14023)
 
 
@@ -215,6 +262,13 @@ def test_touched_points_that_explain_nothing_make_no_site(tmp_path: Path) -> Non
         shaken = np.array(point.arm_m) + rng.normal(0, 0.12, 3)
         rows.append(",".join(map(str, (point.name, *shaken, *point.left_px, *point.right_px))))
     (tmp_path / "p.csv").write_text("\n".join(rows))
-    done = hand_eye("--points", tmp_path / "p.csv", "--calib", tmp_path / "camera.yaml", "--out", tmp_path / "s.yaml")
+    done = hand_eye(
+        "--points",
+        tmp_path / "p.csv",
+        "--calib",
+        tmp_path / "camera.yaml",
+        "--out",
+        tmp_path / "s.yaml",
+    )
     assert done.returncode in (1, 3)
     assert not (tmp_path / "s.yaml").exists()

@@ -23,10 +23,13 @@ SIGMA_M = DISTANCE**2 / (300 * 0.12) * 0.15
 
 
 def told(screen: Screen, plane: Plane, depth: float = 0.3) -> bool:
-    """Whether the screen is told to have moved, with `depth` of what lies beneath it in the working volume."""
+    """Whether the screen is told to have moved, with `depth` of what lies beneath it in the working
+    volume."""
     surface, _ = draw(screen)
     surface.xyz[screen.plane.height(surface.xyz) < -depth] = np.nan
-    return [reason.code for reason in screen_doubts(surface, plane, GRIZZLY, CONFIG)] == ["SCREEN_MOVED"]
+    return [reason.code for reason in screen_doubts(surface, plane, GRIZZLY, CONFIG)] == [
+        "SCREEN_MOVED"
+    ]
 
 
 def turned(plane: Plane, angle: float) -> Plane:
@@ -36,7 +39,9 @@ def turned(plane: Plane, angle: float) -> Plane:
     return Plane(normal, float(normal @ [0, 0, DISTANCE]))
 
 
-@given(st.floats(-0.3, 0.3), st.floats(0, np.pi), st.integers(0, 1000), st.sampled_from([0.25, 0.5]))
+@given(
+    st.floats(-0.3, 0.3), st.floats(0, np.pi), st.integers(0, 1000), st.sampled_from([0.25, 0.5])
+)
 @settings(max_examples=15, deadline=None)
 def test_a_screen_at_its_place_is_not_told(tilt: float, yaw: float, seed: int, pit: float) -> None:
     screen = replace(WIDE, tilt=tilt, yaw=yaw, seed=seed, pit=pit)
@@ -79,18 +84,27 @@ def test_a_wide_floor_of_the_pit_is_no_moved_screen() -> None:
 
 def test_a_screen_that_is_not_seen_is_not_judged() -> None:
     """Spheres of ore side by side hide all bars."""
-    ore = tuple((s, c, 0.1, 0.16) for s in np.arange(-1.2, 1.3, 0.15) for c in np.arange(-0.9, 1.0, 0.15))
+    ore = tuple(
+        (s, c, 0.1, 0.16) for s in np.arange(-1.2, 1.3, 0.15) for c in np.arange(-0.9, 1.0, 0.15)
+    )
     screen = replace(WIDE, lumps=ore)
     assert not told(screen, screen.plane)
 
 
-def pair_of(flat: Any, turn: tuple[float, float, float] = (1, 0, 0)) -> tuple[RectifiedPair, Disparity]:
-    """The pair with the right eye's rows scaled, sheared and shifted: v' = a·v + b·(u − middle) + c."""
+def pair_of(
+    flat: Any, turn: tuple[float, float, float] = (1, 0, 0)
+) -> tuple[RectifiedPair, Disparity]:
+    """The pair with the right eye's rows scaled, sheared and shifted: v' = a·v + b·(u − middle) +
+    c."""
     height, width = flat.disparity.shape
     a, b, c = turn
     matrix = np.array([[1, 0, 0], [b, a, c + (1 - a) * height / 2 - b * width / 2]], float)
     right = cv2.warpAffine(
-        flat.pair.right, matrix, (width, height), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT
+        flat.pair.right,
+        matrix,
+        (width, height),
+        flags=cv2.INTER_CUBIC,
+        borderMode=cv2.BORDER_REFLECT,
     )
     pair = replace(flat.pair, right=right)
     values = flat.disparity.copy()
@@ -99,7 +113,10 @@ def pair_of(flat: Any, turn: tuple[float, float, float] = (1, 0, 0)) -> tuple[Re
 
 
 def rows_of(pair: RectifiedPair, disparity: Disparity) -> float:
-    left, right = (cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.uint8) for image in (pair.left, pair.right))
+    left, right = (
+        cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.uint8)
+        for image in (pair.left, pair.right)
+    )
     return rows.row_shift(left, right, disparity, pair.rig.disparity_offset_px).systematic
 
 
@@ -117,9 +134,18 @@ def test_grain_is_no_disagreement_where_bars_were_measured(flat_plane_pair: Any)
     pair, disparity = pair_of(flat_plane_pair)
     bars = Registration(np.zeros(3), 0.0, 0.0, 0.0, 0.1)
     least = CONFIG.min_right_share
-    for share, told in ((least + 0.02, (False, False)), (least - 0.02, (True, False)), (least / 2, (True, True))):
-        grainy = replace(disparity, confidence=np.full_like(disparity.values, share), diagnostics={})
-        found = [[reason.code for reason in eye_doubts(pair, grainy, CONFIG, known)] for known in (None, bars)]
+    for share, told in (
+        (least + 0.02, (False, False)),
+        (least - 0.02, (True, False)),
+        (least / 2, (True, True)),
+    ):
+        grainy = replace(
+            disparity, confidence=np.full_like(disparity.values, share), diagnostics={}
+        )
+        found = [
+            [reason.code for reason in eye_doubts(pair, grainy, CONFIG, known)]
+            for known in (None, bars)
+        ]
         assert tuple("EYES_DISAGREE" in codes for codes in found) == told
 
 
@@ -141,7 +167,9 @@ def test_a_row_shift_is_measured_and_told(flat_plane_pair: Any, shift_px: float)
 
 
 @pytest.mark.parametrize(("scale", "shear"), [(1.002, 0), (1, 0.001), (1, -0.003), (1.001, 0.001)])
-def test_a_turned_or_scaled_eye_is_measured_and_told(flat_plane_pair: Any, scale: float, shear: float) -> None:
+def test_a_turned_or_scaled_eye_is_measured_and_told(
+    flat_plane_pair: Any, scale: float, shear: float
+) -> None:
     """Their mean row difference is zero."""
     pair, disparity = pair_of(flat_plane_pair, (scale, shear, 0))
     height, width = disparity.values.shape
@@ -154,7 +182,8 @@ def test_noise_is_no_row_shift(flat_plane_pair: Any) -> None:
     pair, disparity = pair_of(flat_plane_pair)
     noise = np.random.default_rng(1).normal(0, 12, (2, *pair.left.shape))
     left, right = (
-        np.clip(eye + n, 0, 255).astype(np.uint8) for eye, n in zip((pair.left, pair.right), noise, strict=True)
+        np.clip(eye + n, 0, 255).astype(np.uint8)
+        for eye, n in zip((pair.left, pair.right), noise, strict=True)
     )
     assert rows_of(replace(pair, left=left, right=right), disparity) < 0.02
 
@@ -179,11 +208,22 @@ def test_the_dark_is_told(flat_plane_pair: Any) -> None:
     assert "TOO_DARK" in codes(dark, disparity)
 
 
-def line(index: int, valid: int = 800, status: str = "ok", images: list[str] | None = None) -> FrameLines:
+def line(
+    index: int, valid: int = 800, status: str = "ok", images: list[str] | None = None
+) -> FrameLines:
     counts = {"pixels": 1000, "disparities": valid, "targets": 2 * (status == "ok")}
-    record = {"frame": str(index), "status": status, "reasons": [], "counts": counts, "targets": [1, 2]}
+    record = {
+        "frame": str(index),
+        "status": status,
+        "reasons": [],
+        "counts": counts,
+        "targets": [1, 2],
+    }
     record["targets"] = [1, 2] if status == "ok" else []
-    inputs = {"frame": str(index), "images": images or [f"l{index}", f"r{index}"] if status != "failed" else None}
+    inputs = {
+        "frame": str(index),
+        "images": images or [f"l{index}", f"r{index}"] if status != "failed" else None,
+    }
     return FrameLines(json.dumps(record), "{}", json.dumps(inputs))
 
 
@@ -195,7 +235,13 @@ def judged(lines: list[FrameLines], watch: Watch | None = None) -> list[list[str
 
 
 def test_a_frozen_eye_is_told_also_after_a_frame_that_failed() -> None:
-    frames = [line(0), line(1, status="failed"), line(2, images=["l0", "new"]), line(3), line(4, images=["x", "r3"])]
+    frames = [
+        line(0),
+        line(1, status="failed"),
+        line(2, images=["l0", "new"]),
+        line(3),
+        line(4, images=["x", "r3"]),
+    ]
     assert judged(frames) == [[], [], ["FRAME_FROZEN"], [], ["FRAME_FROZEN"]]
     assert judged(frames, Watch(CONFIG.model_copy(update={"refuse_frozen": False}))) == [[]] * 5
 
@@ -210,7 +256,10 @@ def test_a_ring_buffer_that_repeats_itself_is_told() -> None:
 
 def with_lumps(index: int, *middles: tuple[float, float, float]) -> FrameLines:
     entry = line(index)
-    ores = [{"id": i, "surface_centroid": {"camera": list(at)}, "reasons": []} for i, at in enumerate(middles, 1)]
+    ores = [
+        {"id": i, "surface_centroid": {"camera": list(at)}, "reasons": []}
+        for i, at in enumerate(middles, 1)
+    ]
     record = json.loads(entry.record) | {"ores": ores, "targets": [ore["id"] for ore in ores]}
     return replace(entry, record=json.dumps(record))
 
@@ -245,14 +294,23 @@ def test_a_slow_change_is_not_told() -> None:
 
 
 FRAMES = st.lists(
-    st.tuples(st.sampled_from([900, 500, 100]), st.sampled_from(["ok", "empty", "failed"]), st.integers(0, 2))
+    st.tuples(
+        st.sampled_from([900, 500, 100]),
+        st.sampled_from(["ok", "empty", "failed"]),
+        st.integers(0, 2),
+    )
 )
 
 
 @given(FRAMES, st.integers(0, 30))
 @settings(deadline=None)
-def test_a_continued_watch_judges_as_one_that_never_stopped(frames: list[tuple[int, str, int]], stop: int) -> None:
-    lines = [line(i, valid, status, [f"l{image}", f"r{i}"]) for i, (valid, status, image) in enumerate(frames)]
+def test_a_continued_watch_judges_as_one_that_never_stopped(
+    frames: list[tuple[int, str, int]], stop: int
+) -> None:
+    lines = [
+        line(i, valid, status, [f"l{image}", f"r{i}"])
+        for i, (valid, status, image) in enumerate(frames)
+    ]
     watch = Watch(CONFIG)
     whole = [watch.judge(entry) for entry in lines]
     later = Watch(CONFIG, whole[:stop])

@@ -1,4 +1,5 @@
-"""Hostile input planted in the real command: each ends as one line that names file and remedy, never as a traceback."""
+"""Hostile input planted in the real command: each ends as one line that names file and remedy,
+never as a traceback."""
 
 import json
 import os
@@ -38,7 +39,8 @@ class Done(NamedTuple):
 
 @pytest.fixture
 def command(capsys: pytest.CaptureFixture[str]) -> Callable[..., Done]:
-    """Runs the command in this process: any exception but a known error would leave it, as a traceback does."""
+    """Runs the command in this process: any exception but a known error would leave it, as a
+    traceback does."""
 
     def run(*arguments: object) -> Done:
         with pytest.raises(SystemExit) as end:
@@ -50,7 +52,8 @@ def command(capsys: pytest.CaptureFixture[str]) -> Callable[..., Done]:
 
 
 def refused(done: Done, *words: str) -> str:
-    """The error of a command that ended as it should: one line, or one a fault; exit code 1, or 3 where frames fail."""
+    """The error of a command that ended as it should: one line, or one a fault; exit code 1, or 3
+    where frames fail."""
     assert done.code == 3 if "error: no frame is usable" in done.err else done.code == 1, done
     assert "Traceback" not in done.err
     lines = done.err[done.err.index("error: ") :].splitlines()
@@ -79,7 +82,13 @@ def recording(scene: Path, tmp_path: Path) -> Path:
 
 def run_arguments(scene: Path, recording: Path, out: Path, **changed: Path) -> list[object]:
     files = {"calib": scene / "calibration.yaml", "site": scene / "site.yaml"} | changed
-    return ["run", recording, "--out", out, *(word for key, file in files.items() for word in (f"--{key}", file))]
+    return [
+        "run",
+        recording,
+        "--out",
+        out,
+        *(word for key, file in files.items() for word in (f"--{key}", file)),
+    ]
 
 
 def records(out: Path) -> dict[str, dict[str, Any]]:
@@ -89,7 +98,9 @@ def records(out: Path) -> dict[str, dict[str, Any]]:
 
 # --- files of parameters
 
-LAUGHS = "a0: &a0 lol\n" + "".join(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]\n" for n in range(1, 10))
+LAUGHS = "a0: &a0 lol\n" + "".join(
+    f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]\n" for n in range(1, 10)
+)
 YAML = {
     "aliases": b"a: &x [1]\nb: *x\n",
     "billion laughs": LAUGHS.encode(),
@@ -119,10 +130,16 @@ YAML = {
 
 @pytest.mark.parametrize("option", ["config", "site", "calib"])
 @pytest.mark.parametrize("name", YAML)
-def test_hostile_yaml(name: str, option: str, scene: Path, recording: Path, tmp_path: Path, command: Any) -> None:
+def test_hostile_yaml(
+    name: str, option: str, scene: Path, recording: Path, tmp_path: Path, command: Any
+) -> None:
     file = tmp_path / "hostile.yaml"
-    file.write_bytes((b"format: stereo_ore/stereo-calibration\n" if option == "calib" else b"") + YAML[name])
-    line = refused(command(*run_arguments(scene, recording, tmp_path / "out", **{option: file})), str(file))
+    file.write_bytes(
+        (b"format: stereo_ore/stereo-calibration\n" if option == "calib" else b"") + YAML[name]
+    )
+    line = refused(
+        command(*run_arguments(scene, recording, tmp_path / "out", **{option: file})), str(file)
+    )
     assert len(line) < 2000
     assert line.isprintable()
     assert not (tmp_path / "out" / "frames.jsonl").exists()
@@ -136,7 +153,9 @@ def test_hostile_yaml_of_consumers(name: str, scene: Path, tmp_path: Path, comma
     refused(command("serve", "--watch", tmp_path, *arguments), str(file))
 
 
-def test_yaml_with_a_byte_order_mark_is_read(scene: Path, recording: Path, tmp_path: Path, command: Any) -> None:
+def test_yaml_with_a_byte_order_mark_is_read(
+    scene: Path, recording: Path, tmp_path: Path, command: Any
+) -> None:
     file = tmp_path / "parameters.yaml"
     file.write_bytes(b"\xef\xbb\xbfsegment: {min_pixels: 121}\r\n")
     assert command(*run_arguments(scene, recording, tmp_path / "out", config=file)).code == 0
@@ -156,7 +175,9 @@ def test_files_without_end_are_not_read_to_their_end(
             refused(command(*arguments), f"{endless}: has more than 1,000,000 bytes")
 
 
-def test_a_site_whose_background_is_no_path(scene: Path, recording: Path, tmp_path: Path, command: Any) -> None:
+def test_a_site_whose_background_is_no_path(
+    scene: Path, recording: Path, tmp_path: Path, command: Any
+) -> None:
     file = tmp_path / "site.yaml"
     file.write_text((scene / "site.yaml").read_text() + '\nbackground: "a\\0b"\n')
     refused(command(*run_arguments(scene, recording, tmp_path / "out", site=file)), "background")
@@ -174,15 +195,25 @@ def png(width: int, height: int, rows: int, before: bytes = b"") -> bytes:
     packer = zlib.compressobj(9)
     pixels = b"".join(packer.compress(bytes(width + 1)) for _ in range(rows)) + packer.flush()
     head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + before + chunk(b"IDAT", pixels) + chunk(b"IEND", b"")
+    return (
+        b"\x89PNG\r\n\x1a\n"
+        + chunk(b"IHDR", head)
+        + before
+        + chunk(b"IDAT", pixels)
+        + chunk(b"IEND", b"")
+    )
 
 
 def tiff(width: int, height: int, big: bool = False) -> bytes:
     """A TIFF or BigTIFF that claims a size and holds nothing."""
     if big:
-        tags = b"".join(struct.pack("<HHQQ", tag, 16, 1, value) for tag, value in ((256, width), (257, height)))
+        tags = b"".join(
+            struct.pack("<HHQQ", tag, 16, 1, value) for tag, value in ((256, width), (257, height))
+        )
         return b"II+\0" + struct.pack("<HHQQ", 8, 0, 16, 2) + tags + bytes(8)
-    tags = b"".join(struct.pack("<HHII", tag, 4, 1, value) for tag, value in ((256, width), (257, height)))
+    tags = b"".join(
+        struct.pack("<HHII", tag, 4, 1, value) for tag, value in ((256, width), (257, height))
+    )
     return b"II*\0" + struct.pack("<IH", 8, 2) + tags + bytes(4)
 
 
@@ -200,7 +231,10 @@ def claims_bmp(image: np.ndarray) -> bytes:
 
 
 SMALL = np.full((180, 320, 3), 90, np.uint8)
-GIF = b"GIF89a\xff\xff\xff\xff\x80\0\0\0\0\0\xff\xff\xff!\xf9\x04\0\n\0\0\0,\0\0\0\0\1\0\1\0\0\2\2D\1\0;"
+GIF = (
+    b"GIF89a\xff\xff\xff\xff\x80\0\0\0\0\0\xff\xff\xff!\xf9\x04\0\n\0\0\0,\0\0\0\0\1\0\1"
+    b"\0\0\2\2D\1\0;"
+)
 PICTURES: dict[str, tuple[Callable[[], bytes], str]] = {
     "png that claims 4 terapixels": (lambda: png(2_000_000, 2_000_000, 0), "IMAGE_TOO_LARGE"),
     "png that holds 144 megapixels": (lambda: png(12_000, 12_000, 12_000), "IMAGE_TOO_LARGE"),
@@ -208,17 +242,20 @@ PICTURES: dict[str, tuple[Callable[[], bytes], str]] = {
     "png whose rows are missing": (lambda: png(320, 180, 3), "UNREADABLE_IMAGE"),
     "png of one pixel": (lambda: png(1, 1, 1), "SIZE_MISMATCH"),
     "png whose first chunk is another": (
-        lambda: png(320, 180, 180)[:8] + chunk(b"tEXt", b"a\0b") + png(320, 180, 180)[8:], "UNREADABLE_IMAGE",
+        lambda: png(320, 180, 180)[:8] + chunk(b"tEXt", b"a\0b") + png(320, 180, 180)[8:],
+        "UNREADABLE_IMAGE",
     ),
     "png of a chunk of 4 GB": (
         lambda: (FUZZED / "image" / "png_chunk_of_4_GB").read_bytes(), "UNREADABLE_IMAGE",
     ),
     "jpeg that claims 4 gigapixels": (lambda: claims_jpeg(SMALL), "IMAGE_TOO_LARGE"),
-    "jpeg without a frame": (lambda: b"\xff\xd8\xff\xe0\0\x10JFIF\0" + bytes(20) + b"\xff\xd9", "UNREADABLE_IMAGE"),
+    "jpeg without a frame": (lambda: b"\xff\xd8\xff\xe0\0\x10JFIF\0" + bytes(20) + b"\xff\xd9",
+    "UNREADABLE_IMAGE"),
     "tiff that claims 4 terapixels": (lambda: tiff(2_000_000, 2_000_000), "IMAGE_TOO_LARGE"),
     "big tiff that claims 2^100 pixels": (lambda: tiff(2**50, 2**50, big=True), "IMAGE_TOO_LARGE"),
     "tiff whose directory lies beyond 64 bit": (
-        lambda: (FUZZED / "image" / "tiff_directory_beyond_64_bit").read_bytes(), "UNREADABLE_IMAGE",
+        lambda: (FUZZED / "image" / "tiff_directory_beyond_64_bit").read_bytes(),
+        "UNREADABLE_IMAGE",
     ),
     "tiff that holds nothing": (lambda: tiff(320, 180), "UNREADABLE_IMAGE"),
     "tiff whose directory lies elsewhere": (lambda: b"II*\0\xff\xff\xff\xff", "UNREADABLE_IMAGE"),
@@ -232,7 +269,9 @@ PICTURES: dict[str, tuple[Callable[[], bytes], str]] = {
 }  # fmt: skip
 
 
-def test_hostile_pictures_fail_alone(scene: Path, recording: Path, tmp_path: Path, command: Any) -> None:
+def test_hostile_pictures_fail_alone(
+    scene: Path, recording: Path, tmp_path: Path, command: Any
+) -> None:
     for place, (make, _) in enumerate(PICTURES.values(), 1):
         (recording / f"left{place:06d}.png").write_bytes(make())
         shutil.copy(scene / "right.png", recording / f"right{place:06d}.png")
@@ -253,28 +292,52 @@ def test_unusual_pictures_are_read(scene: Path, tmp_path: Path, command: Any) ->
     alpha = (cv2.cvtColor(image, cv2.COLOR_BGR2BGRA) for image in (left, right))
     deep = (image.astype(np.uint16) * 257 for image in (left, right))
     grey = (cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) for image in (left, right))
-    for name, images in {"alpha": alpha, "deep": deep, "grey": grey, "suffix": (left, right)}.items():
+    for name, images in {
+        "alpha": alpha,
+        "deep": deep,
+        "grey": grey,
+        "suffix": (left, right),
+    }.items():
         for eye, image in zip(("left", "right"), images, strict=True):
             data = cv2.imencode(".tif" if name == "deep" else ".png", image)[1].tobytes()
             (folder / f"{name}_{eye}.jpg").write_bytes(data)
     assert command(*run_arguments(scene, folder, tmp_path / "out")).code == 0
-    found = {name: entry for name, entry in records(tmp_path / "out").items() if entry["counts"]["ores"]}
+    found = {
+        name: entry for name, entry in records(tmp_path / "out").items() if entry["counts"]["ores"]
+    }
     assert found.keys() == {"alpha", "deep", "grey", "suffix"}
 
 
-def test_the_limit_on_pixels_is_a_parameter(scene: Path, recording: Path, tmp_path: Path, command: Any) -> None:
+def test_the_limit_on_pixels_is_a_parameter(
+    scene: Path, recording: Path, tmp_path: Path, command: Any
+) -> None:
     file = tmp_path / "parameters.yaml"
     file.write_text("source: {max_pixels: 57599}\n")
     done = command(*run_arguments(scene, recording, tmp_path / "out", config=file))
     refused(done, f"left{GOOD}.png", "57,599", "source.max_pixels")
     assert records(tmp_path / "out")[GOOD]["reasons"][0]["code"] == "IMAGE_TOO_LARGE"
-    assert command(*run_arguments(scene, recording, tmp_path / "more"), "--set", "source.max_pixels=57600").code == 0
+    assert (
+        command(
+            *run_arguments(scene, recording, tmp_path / "more"), "--set", "source.max_pixels=57600"
+        ).code
+        == 0
+    )
 
 
 @pytest.mark.parametrize("board", ["9x6", "charuco:9x6:20"])
 def test_a_board_in_a_tiny_picture(board: str, tmp_path: Path, command: Any) -> None:
     cv2.imwrite(str(tmp_path / "both.png"), SMALL[:12, :16])
-    done = command("calibrate", "stereo", tmp_path, "--board", board, "--square-mm", 25, "--out", tmp_path / "c.yaml")
+    done = command(
+        "calibrate",
+        "stereo",
+        tmp_path,
+        "--board",
+        board,
+        "--square-mm",
+        25,
+        "--out",
+        tmp_path / "c.yaml",
+    )
     assert done.code in (1, 2)
     assert not (tmp_path / "c.yaml").exists()
 
@@ -286,10 +349,12 @@ def limit_memory() -> None:
 
 
 def peak_mb(*arguments: object) -> tuple[int, str, float]:
-    """Exit code, errors and peak memory [MB] of the installed command, which may have 4 GB of addresses at most."""
+    """Exit code, errors and peak memory [MB] of the installed command, which may have 4 GB of
+    addresses at most."""
     script = (
         "import resource, subprocess, sys; code = subprocess.call(sys.argv[1:]);"
-        "print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024, file=sys.stderr); sys.exit(code)"
+        "print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024, file=sys.stderr);"
+        "sys.exit(code)"
     )
     done = subprocess.run(
         [sys.executable, "-c", script, "stereo-ore", *map(str, arguments)],
@@ -303,12 +368,16 @@ def peak_mb(*arguments: object) -> tuple[int, str, float]:
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of addresses are Linux")
 def test_a_bomb_costs_no_memory(scene: Path, recording: Path, tmp_path: Path) -> None:
     """12,000 × 12,000 pixels in 150 kB: 432 MB when it is decoded."""
-    code, _, plain_mb = peak_mb("-q", *run_arguments(scene, recording, tmp_path / "plain"), "--no-report")
+    code, _, plain_mb = peak_mb(
+        "-q", *run_arguments(scene, recording, tmp_path / "plain"), "--no-report"
+    )
     assert code == 0
     for eye in ("left", "right"):
         (recording / f"{eye}000001.png").write_bytes(png(12_000, 12_000, 12_000))
         shutil.copy(FUZZED / "image" / "png_chunk_of_4_GB", recording / f"{eye}000002.png")
-    code, _, bomb_mb = peak_mb("-q", *run_arguments(scene, recording, tmp_path / "bomb"), "--no-report")
+    code, _, bomb_mb = peak_mb(
+        "-q", *run_arguments(scene, recording, tmp_path / "bomb"), "--no-report"
+    )
     assert code == 0
     assert records(tmp_path / "bomb")["000001"]["reasons"][0]["code"] == "IMAGE_TOO_LARGE"
     assert bomb_mb < plain_mb + 60
@@ -322,27 +391,35 @@ def npy_head(shape: str, kind: str = "<f4", order: str = "False") -> bytes:
     return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text.encode()
 
 
-PLY = "ply\nformat {} 1.0\n{}element vertex {}\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+PLY = (
+    "ply\nformat {} 1.0\n{}element vertex {}\nproperty float x\nproperty float y\nproperty float"
+    " z\nend_header\n"
+)
 PCD = "VERSION 0.7\nFIELDS x y z\nSIZE {size} 4 4\nTYPE F F F\nCOUNT {count} 1 1\n"
 PCD += "WIDTH {width}\nHEIGHT {height}\nDATA {data}\n"
 T12 = 10**12
 CLOUDS: dict[str, tuple[str, bytes]] = {
     "ply of 10^12 points": ("a.ply", PLY.format("binary_little_endian", "", T12).encode()),
     "ply of 10^12 points as text": ("a.ply", PLY.format("ascii", "", T12).encode() + b"1 2 3\n"),
-    "ply of 10^12 faces before its points": ("a.ply", PLY.format("ascii", f"element face {T12}\n", 1).encode()),
+    "ply of 10^12 faces before its points": ("a.ply",
+    PLY.format("ascii", f"element face {T12}\n", 1).encode()),
     "ply of 10^4000 points": ("a.ply", PLY.format("binary_little_endian", "", "9" * 4000).encode()),
     "ply of -1 points": ("a.ply", PLY.format("ascii", "", -1).encode()),
-    "ply without columns": ("a.ply", b"ply\nformat binary_little_endian 1.0\nelement vertex 9\nend_header\n"),
+    "ply without columns": ("a.ply",
+    b"ply\nformat binary_little_endian 1.0\nelement vertex 9\nend_header\n"),
     "ply whose header has no end": ("a.ply", b"ply\n" + b"comment x\n" * 100_000),
     "ply of one long line": ("a.ply", b"ply\n" + b"x" * 10_000_000),
-    "pcd of 10^24 points": ("a.pcd", PCD.format(size=4, count=1, width=T12, height=T12, data="binary").encode()),
+    "pcd of 10^24 points": ("a.pcd", PCD.format(size=4, count=1, width=T12, height=T12,
+    data="binary").encode()),
     "pcd of 10^9000 points": (
-        "a.pcd", PCD.format(size=4, count=1, width="9" * 4500, height="9" * 4500, data="binary").encode(),
+        "a.pcd", PCD.format(size=4, count=1, width="9" * 4500, height="9" * 4500,
+        data="binary").encode(),
     ),
     "pcd of 10^8 columns": (
         "a.pcd", PCD.format(size=4, count=10**8, width=1, height=1, data="binary").encode(),
     ),
-    "pcd of a long size": ("a.pcd", PCD.format(size="4" * 5000, count=1, width=1, height=1, data="binary").encode()),
+    "pcd of a long size": ("a.pcd", PCD.format(size="4" * 5000, count=1, width=1, height=1,
+    data="binary").encode()),
     "npy of 10^12 rows": ("a.npy", npy_head(f"({T12}, 3)")),
     "npy of -1 rows": ("a.npy", npy_head("(-1, 3)") + bytes(24)),
     "npy of 10^4000 rows": ("a.npy", npy_head(f"({'9' * 4000}, 3)")),
@@ -393,7 +470,11 @@ def test_damaged_bags(tmp_path: Path, scene: Path, command: Any) -> None:
     pytest.importorskip("rosbags", reason="rosbags is not installed")
     import bags
 
-    shots = [bags.Shot(topic, 1000 + n, 1000 + n, SMALL[:20, :40]) for n in range(2) for topic in bags.TOPICS]
+    shots = [
+        bags.Shot(topic, 1000 + n, 1000 + n, SMALL[:20, :40])
+        for n in range(2)
+        for topic in bags.TOPICS
+    ]
     bags.write_bag(tmp_path / "m", "mcap", shots)
     mcap = next((tmp_path / "m").glob("*.mcap")).read_bytes()
     bag = bags.write_bag(tmp_path / "b", "ros1", shots).read_bytes()
@@ -402,25 +483,45 @@ def test_damaged_bags(tmp_path: Path, scene: Path, command: Any) -> None:
         file = tmp_path / name
         for length in (0, 5, 40, len(data) // 2, len(data) - 9):
             file.write_bytes(data[:length])
-            done = command("run", file, "--calib", scene / "calibration.yaml", "--out", tmp_path / "out", "--overwrite")
+            done = command(
+                "run",
+                file,
+                "--calib",
+                scene / "calibration.yaml",
+                "--out",
+                tmp_path / "out",
+                "--overwrite",
+            )
             assert done.code == 1, (name, length)
             refused(done, str(file))
         for place in range(8, len(data) - 16, len(data) // 25):
             # Lengths are four or eight bytes, little endian: any of them may claim all there is.
             file.write_bytes(data[:place] + b"\xff" * 7 + b"\x7f" + data[place + 8 :])
-            done = command("run", file, "--calib", scene / "calibration.yaml", "--out", tmp_path / "out", "--overwrite")
+            done = command(
+                "run",
+                file,
+                "--calib",
+                scene / "calibration.yaml",
+                "--out",
+                tmp_path / "out",
+                "--overwrite",
+            )
             assert done.code in (0, 1, 3), (name, place)
             assert "Traceback" not in done.err
 
 
-def test_a_video_that_claims_more_pictures_than_it_can_hold(tmp_path: Path, scene: Path, command: Any) -> None:
+def test_a_video_that_claims_more_pictures_than_it_can_hold(
+    tmp_path: Path, scene: Path, command: Any
+) -> None:
     data = bytearray((FUZZED / "video" / "v.avi").read_bytes())
     for mark, offset in ((b"avih", 24), (b"strh", 40)):
         place = data.index(mark) + offset
         data[place : place + 4] = b"\xff\xff\xff\x7f"
     file = tmp_path / "claims.avi"
     file.write_bytes(data)
-    done = command("run", file, "--calib", scene / "calibration.yaml", "--out", tmp_path / "out", "--no-report")
+    done = command(
+        "run", file, "--calib", scene / "calibration.yaml", "--out", tmp_path / "out", "--no-report"
+    )
     refused(done, "image_size")
     assert len(records(tmp_path / "out")) == 2
 
@@ -444,7 +545,9 @@ def test_a_video_that_claims_more_pictures_than_it_can_hold(tmp_path: Path, scen
     ],
 )
 @pytest.mark.parametrize("damage", ["half", "no numbers", "huge numbers", "zeros", "NaN"])
-def test_damaged_calibrations(name: str, damage: str, recording: Path, tmp_path: Path, command: Any) -> None:
+def test_damaged_calibrations(
+    name: str, damage: str, recording: Path, tmp_path: Path, command: Any
+) -> None:
     folder = FUZZED / name
     shutil.copy(folder.parents[1] / "right.yaml", tmp_path / "right.yaml")
     number = re.compile(r"(?<=[\s\[,=>;])-?\d+\.\d[\d.e+-]*")
@@ -471,13 +574,18 @@ def test_a_calibration_for_enormous_images(
     text = (scene / "calibration.yaml").read_text()
     assert "[320, 180]" in text
     file.write_text(text.replace("[320, 180]", f"[{side}, {side}]"))
-    refused(command(*run_arguments(scene, recording, tmp_path / "out", calib=file)), str(file), "image_size")
+    refused(
+        command(*run_arguments(scene, recording, tmp_path / "out", calib=file)),
+        str(file),
+        "image_size",
+    )
 
 
 # --- names of files
 
 NAMES = [
-    "-rf", "--out=x", "a b", "'quoted'", '"quoted"', "$(touch x)", "`touch y`", "a;b|c&d", "%s%n", "{{plotly}}",
+    "-rf", "--out=x", "a b", "'quoted'", '"quoted"', "$(touch x)", "`touch y`", "a;b|c&d", "%s%n",
+    "{{plotly}}",
     "[bold]", "[]", "<img src=x onerror=alert(1)>", "a\nb", "a\tb", "a\rb", "\x1b[2J",
     "\u2028", "\x85", "\u202egnp", "\U0001f480", "é", "e\u0301",
     "..", "...", ".hidden", "CON", "x" * 200, "9999999999999999999", "0" * 19, "\udcff\udcfe",
@@ -492,7 +600,11 @@ def test_odd_names_of_images_folders_and_files(scene: Path, tmp_path: Path, comm
     for place, name in enumerate(NAMES):
         for eye in ("left", "right"):
             target = folder / f"{name}_{eye}.png"
-            target.symlink_to(scene / f"{eye}.png") if place % 3 else target.write_bytes(b"no picture")
+            (
+                target.symlink_to(scene / f"{eye}.png")
+                if place % 3
+                else target.write_bytes(b"no picture")
+            )
     out = tmp_path / "-o 'x'\n<img src=x onerror=alert(1)>"
     config, site = folder / "-c\n.yaml", folder / "\u2028site.yaml"
     config.write_text("{}\n")
@@ -505,7 +617,11 @@ def test_odd_names_of_images_folders_and_files(scene: Path, tmp_path: Path, comm
     found = records(out)
     # Hidden files are no recordings.
     assert len(found) == len([name for name in NAMES if not name.startswith(".")])
-    assert sum(entry["status"] != "failed" for entry in found.values()) == len(list((out / "overlays").iterdir())) > 15
+    assert (
+        sum(entry["status"] != "failed" for entry in found.values())
+        == len(list((out / "overlays").iterdir()))
+        > 15
+    )
     assert len(Results(out).records) == len(found)
     check_page(out / "report.html")
     whole = (out / "frames.jsonl").read_bytes()
@@ -522,7 +638,9 @@ def check_page(file: Path) -> None:
 
 
 @pytest.mark.parametrize("out", ["x" * 300, "x/" * 3000 + "y", "file/below", "file"])
-def test_an_output_folder_that_can_not_be(out: str, scene: Path, recording: Path, tmp_path: Path, command: Any) -> None:
+def test_an_output_folder_that_can_not_be(
+    out: str, scene: Path, recording: Path, tmp_path: Path, command: Any
+) -> None:
     (tmp_path / "file").write_text("")
     refused(command(*run_arguments(scene, recording, tmp_path / out)), out[:20])
 
@@ -531,7 +649,9 @@ def test_an_output_folder_that_can_not_be(out: str, scene: Path, recording: Path
 def test_a_recording_that_can_not_be(name: str, scene: Path, tmp_path: Path, command: Any) -> None:
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
     refused(command(*run_arguments(scene, tmp_path / name, tmp_path / "out")), name[:20])
-    refused(command(*run_arguments(scene, scene, tmp_path / "out", calib=tmp_path / name)), name[:20])
+    refused(
+        command(*run_arguments(scene, scene, tmp_path / "out", calib=tmp_path / name)), name[:20]
+    )
     refused(command("filter", tmp_path / f"{name}.ply", tmp_path / "out.ply"), name[:20])
 
 
@@ -542,7 +662,10 @@ def test_replacing_a_run_removes_nothing_that_is_not_its_own(
     assert command(*arguments, "--no-report").code == 0
     (tmp_path / "out" / "clouds" / "mine").mkdir()
     (tmp_path / "out" / "clouds" / "notes.txt").write_text("mine")
-    assert command(*arguments, "--no-report", "--overwrite", "--set", "segment.min_pixels=121").code == 0
+    assert (
+        command(*arguments, "--no-report", "--overwrite", "--set", "segment.min_pixels=121").code
+        == 0
+    )
     assert (tmp_path / "out" / "clouds" / "notes.txt").read_text() == "mine"
 
 
@@ -558,28 +681,42 @@ def break_line(folder: Path, change: Callable[[dict[str, Any]], object]) -> None
 
 
 RESULTS: dict[str, Callable[[Path], object]] = {
-    "a frame that leads elsewhere": lambda run: break_line(run, lambda entry: entry.update(frame="../../secret")),
+    "a frame that leads elsewhere": lambda run: break_line(
+        run, lambda entry: entry.update(frame="../../secret")
+    ),
     "an ore without a box": lambda run: break_line(run, lambda entry: entry["ores"][0].pop("box")),
     "no ores": lambda run: break_line(run, lambda entry: entry.pop("ores")),
-    "a size of words": lambda run: break_line(run, lambda entry: entry["ores"][0].update(size_m=["a", "b", "c"])),
-    "an infinite offset": lambda run: (run / "frames.jsonl").write_text(
-        (run / "frames.jsonl").read_text().replace('"offset_m":-1.0', '"offset_m":1e999')
+    "a size of words": lambda run: break_line(
+        run, lambda entry: entry["ores"][0].update(size_m=["a", "b", "c"])
     ),
-    "NaN": lambda run: (run / "frames.jsonl").write_text(
-        (run / "frames.jsonl").read_text().replace('"offset_m":-1.0', '"offset_m":NaN')
+    "an infinite offset": (
+        lambda run: (run / "frames.jsonl").write_text(
+            (run / "frames.jsonl").read_text().replace('"offset_m":-1.0', '"offset_m":1e999')
+        )
+    ),
+    "NaN": (
+        lambda run: (run / "frames.jsonl").write_text(
+            (run / "frames.jsonl").read_text().replace('"offset_m":-1.0', '"offset_m":NaN')
+        )
     ),
     "deep nesting": lambda run: (run / "frames.jsonl").write_text("[" * 100_000 + "\n"),
     "zeros": lambda run: (run / "frames.jsonl").write_bytes(bytes(5000) + b"\n"),
     "a run that is a list": lambda run: (run / "run.json").write_text("[]"),
     "a run that holds infinity": lambda run: (run / "run.json").write_text('{"source": 1e999}'),
-    "a cloud without scores": lambda run: (run / "clouds" / "000000.ply").write_bytes(
-        PLY.format("ascii", "", 1).encode() + b"1 2 3\n"
+    "a cloud without scores": (
+        lambda run: (run / "clouds" / "000000.ply").write_bytes(
+            PLY.format("ascii", "", 1).encode() + b"1 2 3\n"
+        )
     ),
-    "a cloud of 10^12 points": lambda run: (run / "clouds" / "000000.ply").write_bytes(
-        PLY.format("binary_little_endian", "", T12).encode()
+    "a cloud of 10^12 points": (
+        lambda run: (run / "clouds" / "000000.ply").write_bytes(
+            PLY.format("binary_little_endian", "", T12).encode()
+        )
     ),
     "stages that are none": lambda run: (run / "stages" / "000000.npz").write_bytes(b"PK\x03\x04"),
-    "stages of another run": lambda run: np.savez(run / "stages" / "000000.npz", keep=np.ones(3, bool)),
+    "stages of another run": lambda run: np.savez(
+        run / "stages" / "000000.npz", keep=np.ones(3, bool)
+    ),
 }
 
 
@@ -622,7 +759,9 @@ def test_a_report_of_what_is_there(file: str, content: bytes, tmp_path: Path, co
 
 
 @pytest.mark.skipif(not Path("/dev/zero").exists(), reason="POSIX only")
-def test_pipes_and_endless_files_under_the_names_of_images(scene: Path, recording: Path, command: Any) -> None:
+def test_pipes_and_endless_files_under_the_names_of_images(
+    scene: Path, recording: Path, command: Any
+) -> None:
     os.mkfifo(recording / "left000001.png")
     (recording / "left000002.png").symlink_to("/dev/zero")
     for index in (1, 2):
@@ -639,5 +778,7 @@ def test_pipes_in_a_watched_folder_hold_nobody_up(scene: Path, tmp_path: Path) -
     os.mkfifo(tmp_path / "left000000.png")
     for index, eye in ((0, "right"), (1, "left"), (1, "right")):
         shutil.copy(scene / f"{eye}.png", tmp_path / f"{eye}{index:06d}.png")
-    frames = FolderWatch(tmp_path, poll_s=0.02, patience_s=0.2).frames(Position(), threading.Event())
+    frames = FolderWatch(tmp_path, poll_s=0.02, patience_s=0.2).frames(
+        Position(), threading.Event()
+    )
     assert [next(frames).name for _ in range(2)] == ["000000", "000001"]

@@ -1,7 +1,8 @@
-"""Killed at any moment, a run goes on to the same bytes, and no file is ever half written under its final name.
+"""Killed at any moment, a run goes on to the same bytes, and no file is ever half written under its
+final name.
 
-Run as a program this file kills a writer of a run's folder before each of its operations on files, one after the other.
-"""
+Run as a program this file kills a writer of a run's folder before each of its operations on files,
+one after the other."""
 
 import json
 import os
@@ -44,7 +45,10 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
         for eye in ("left", "right"):
             if (index, eye) != (4, "right"):
                 image = cv2.imread(str(folder / "scene" / f"{eye}.png"))
-                cv2.imwrite(str(images / f"{eye}{index:06d}.png"), cv2.subtract(image, np.full_like(image, 2 * index)))
+                cv2.imwrite(
+                    str(images / f"{eye}{index:06d}.png"),
+                    cv2.subtract(image, np.full_like(image, 2 * index)),
+                )
     return ["stereo-ore", "-q", "run", str(images), *arguments, "--no-report"]
 
 
@@ -76,7 +80,9 @@ def check_end(out: Path, reference: dict[str, bytes]) -> None:
 
 
 def start(command: list[str]) -> subprocess.Popen[bytes]:
-    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+    return subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+    )
 
 
 def until_opened(process: subprocess.Popen[bytes], out: Path) -> None:
@@ -86,7 +92,8 @@ def until_opened(process: subprocess.Popen[bytes], out: Path) -> None:
 
 
 def kill_after(command: list[str], out: Path, seconds: float, from_start: bool) -> bool:
-    """Start a command and kill it some time after it started, or began to write; False when it had ended before."""
+    """Start a command and kill it some time after it started, or began to write; False when it had
+    ended before."""
     with start(command) as process:
         if not from_start:
             until_opened(process, out)
@@ -96,8 +103,11 @@ def kill_after(command: list[str], out: Path, seconds: float, from_start: bool) 
     return alive
 
 
-def kill_and_resume(recording: list[str], out: Path, workers: int, kills: int, seed: int) -> dict[str, int]:
-    """Kill runs at random moments until there were so many kills; each run is resumed to its end."""
+def kill_and_resume(
+    recording: list[str], out: Path, workers: int, kills: int, seed: int
+) -> dict[str, int]:
+    """Kill runs at random moments until there were so many kills; each run is resumed to its
+    end."""
     rng = random.Random(seed)
     command = [*recording, "--out", str(out), "--workers", str(workers)]
     with start(command) as process:
@@ -110,8 +120,14 @@ def kill_and_resume(recording: list[str], out: Path, workers: int, kills: int, s
         shutil.rmtree(out)
         again: list[str] = []
         for _ in range(min(rng.randint(1, 4), kills - counts["kills"])):
-            # What is done before anything is written is half of the time, and shows little: one kill in eight.
-            if kill_after([*command, *again], out, rng.uniform(0, 1.05 * work_s), from_start=rng.random() < 1 / 8):
+            # What is done before anything is written is half of the time, and shows little: one
+            # kill in eight.
+            if kill_after(
+                [*command, *again],
+                out,
+                rng.uniform(0, 1.05 * work_s),
+                from_start=rng.random() < 1 / 8,
+            ):
                 counts["kills"] += 1
                 part = out / "frames.jsonl.part"
                 done = len(part.read_bytes().splitlines()) if part.exists() else 0
@@ -126,13 +142,17 @@ def kill_and_resume(recording: list[str], out: Path, workers: int, kills: int, s
     return counts
 
 
-def test_killed_five_times_it_ends_with_the_same_bytes(recording: list[str], tmp_path: Path) -> None:
+def test_killed_five_times_it_ends_with_the_same_bytes(
+    recording: list[str], tmp_path: Path
+) -> None:
     assert kill_and_resume(recording, tmp_path / "out", workers=1, kills=5, seed=1)["kills"] == 5
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
-def test_killed_200_times_it_ends_with_the_same_bytes(recording: list[str], workers: int, tmp_path: Path) -> None:
+def test_killed_200_times_it_ends_with_the_same_bytes(
+    recording: list[str], workers: int, tmp_path: Path
+) -> None:
     counts = kill_and_resume(recording, tmp_path / "out", workers, kills=200, seed=workers)
     sys.stdout.write(f"{workers} workers: {counts}\n")
     assert counts["kills"] == 200
@@ -140,8 +160,15 @@ def test_killed_200_times_it_ends_with_the_same_bytes(recording: list[str], work
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="POSIX only")
 @pytest.mark.parametrize("begin", ["new", "finished", "killed"])
-def test_killed_before_each_operation_on_a_file_it_loses_no_frame(begin: str, tmp_path: Path) -> None:
-    done = subprocess.run([sys.executable, __file__, str(tmp_path), begin], capture_output=True, text=True, timeout=120)
+def test_killed_before_each_operation_on_a_file_it_loses_no_frame(
+    begin: str, tmp_path: Path
+) -> None:
+    done = subprocess.run(
+        [sys.executable, __file__, str(tmp_path), begin],
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
     assert done.returncode == 0, done.stderr
     kills, lost = map(int, done.stdout.split())
     assert kills > (10 if begin == "finished" else 20)
@@ -160,7 +187,11 @@ def write_run(folder: Path, resume: bool, frames: int = FRAMES, finish: bool = T
         for index in range(run.done, frames):
             write_bytes(folder / "clouds" / f"{index}.ply", b"x" * 9999)
             record = {"frame": str(index), "targets": [], "ores": []}
-            run.add(FrameLines(json.dumps(record), json.dumps({"frame": index}), json.dumps({"frame": index})))
+            run.add(
+                FrameLines(
+                    json.dumps(record), json.dumps({"frame": index}), json.dumps({"frame": index})
+                )
+            )
         if finish:
             run.finish()
     return run.done
@@ -172,7 +203,9 @@ def operations(folder: Path, limit: int) -> None:
 
     def hook(event: str, arguments: tuple[object, ...]) -> None:
         nonlocal count
-        if event in ("open", "os.rename", "os.remove", "os.mkdir") and str(arguments[0]).startswith(str(folder)):
+        if event in ("open", "os.rename", "os.remove", "os.mkdir") and str(arguments[0]).startswith(
+            str(folder)
+        ):
             if count == limit:
                 os.kill(os.getpid(), signal.SIGKILL)
             count += 1
@@ -181,11 +214,17 @@ def operations(folder: Path, limit: int) -> None:
 
 
 def killed_writers(folder: Path, begin: str) -> Iterator[Path]:
-    """Folders of writers that were killed before their first, second, … operation, until one comes to its end."""
+    """Folders of writers that were killed before their first, second, … operation, until one comes
+    to its end."""
     for limit in range(10_000):
         out = folder / str(limit)
         if begin != "new":
-            write_run(out, resume=False, frames=FRAMES if begin == "finished" else 2, finish=begin == "finished")
+            write_run(
+                out,
+                resume=False,
+                frames=FRAMES if begin == "finished" else 2,
+                finish=begin == "finished",
+            )
         child = os.fork()
         if child == 0:
             operations(out, limit)
@@ -206,7 +245,11 @@ def main() -> None:
         kills += 1
         if out.exists():
             check_whole(out, reference)
-        lines = [file for file in out.glob("frames.jsonl*") if file.name in ("frames.jsonl", "frames.jsonl.part")]
+        lines = [
+            file
+            for file in out.glob("frames.jsonl*")
+            if file.name in ("frames.jsonl", "frames.jsonl.part")
+        ]
         before = len(lines[0].read_bytes().splitlines()) if lines else 0
         # A frame counts when its three lines are there: of the last one, one or two may be missing.
         lost += max(0, before - 1 - write_run(out, resume=True))

@@ -1,4 +1,5 @@
-"""Layouts of recorders and data sets: one test a line of the table, and names that can be read in several ways."""
+"""Layouts of recorders and data sets: one test a line of the table, and names that can be read in
+several ways."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -26,7 +27,9 @@ def save(path: Path, image: np.ndarray) -> Path:
     return path
 
 
-def write(folder: Path, left: Callable[[int], str], right: Callable[[int], str], numbers: range = range(3)) -> Path:
+def write(
+    folder: Path, left: Callable[[int], str], right: Callable[[int], str], numbers: range = range(3)
+) -> Path:
     for number in numbers:
         for eye, name in enumerate((left, right)):
             save(folder / f"{name(number)}.png", picture(number, eye))
@@ -56,7 +59,9 @@ def test_each_layout(layout: Layout, tmp_path: Path) -> None:
     assert layout.name in describe(open_source(tmp_path))
 
 
-@pytest.mark.parametrize("layout", [each for each in LAYOUTS if "*" in each.left], ids=lambda layout: layout.name)
+@pytest.mark.parametrize(
+    "layout", [each for each in LAYOUTS if "*" in each.left], ids=lambda layout: layout.name
+)
 def test_each_layout_below_folders_of_sequences(layout: Layout, tmp_path: Path) -> None:
     for sequence in ("day1", "day2"):
         write(tmp_path / sequence, named(layout.left), named(layout.right))
@@ -81,11 +86,31 @@ OTHER = {
     "left_rect/ right_rect/": (lambda n: f"left_rect/{n}", lambda n: f"right_rect/{n}", "{}"),
     "L/ R/": (lambda n: f"L/{n}", lambda n: f"R/{n}", "{}"),
     "EuRoC from its root": (lambda n: f"mav0/cam0/data/{n}", lambda n: f"mav0/cam1/data/{n}", "{}"),
-    "memory cards": (lambda n: f"left/DCIM/100MEDIA/{n}", lambda n: f"right/DCIM/100MEDIA/{n}", "DCIM_100MEDIA_{}"),
-    "phones": (lambda n: f"IMG_20251125_10150{n}_L", lambda n: f"IMG_20251125_10150{n}_R", "IMG_20251125_10150{}"),
-    "a place named left": (lambda n: f"left_wall_cam_L_{n}", lambda n: f"left_wall_cam_R_{n}", "left_wall_cam_{}"),
-    "a place named right, words": (lambda n: f"right_left_{n}", lambda n: f"right_right_{n}", "right_{}"),
-    "a line R in folders": (lambda n: f"left/Line_R_{n}", lambda n: f"right/Line_R_{n}", "Line_R_{}"),
+    "memory cards": (
+        lambda n: f"left/DCIM/100MEDIA/{n}",
+        lambda n: f"right/DCIM/100MEDIA/{n}",
+        "DCIM_100MEDIA_{}",
+    ),
+    "phones": (
+        lambda n: f"IMG_20251125_10150{n}_L",
+        lambda n: f"IMG_20251125_10150{n}_R",
+        "IMG_20251125_10150{}",
+    ),
+    "a place named left": (
+        lambda n: f"left_wall_cam_L_{n}",
+        lambda n: f"left_wall_cam_R_{n}",
+        "left_wall_cam_{}",
+    ),
+    "a place named right, words": (
+        lambda n: f"right_left_{n}",
+        lambda n: f"right_right_{n}",
+        "right_{}",
+    ),
+    "a line R in folders": (
+        lambda n: f"left/Line_R_{n}",
+        lambda n: f"right/Line_R_{n}",
+        "Line_R_{}",
+    ),
     "a mark twice": (lambda n: f"left/left_cam_{n}", lambda n: f"right/right_cam_{n}", "cam_{}"),
 }
 
@@ -96,7 +121,9 @@ def test_other_names_of_pairs(layout: str, tmp_path: Path) -> None:
     assert_pairs(write(tmp_path, left, right), [name.format(n) for n in range(3)])
 
 
-def test_an_unpaired_image_is_no_less_told_where_names_are_read_by_another_mark(tmp_path: Path) -> None:
+def test_an_unpaired_image_is_no_less_told_where_names_are_read_by_another_mark(
+    tmp_path: Path,
+) -> None:
     write(tmp_path, lambda n: f"cam L {n}", lambda n: f"cam R {n}")
     save(tmp_path / "only_left_7.png", picture(7, 0))
     assert open_source(tmp_path).description["unpaired"] == 1
@@ -122,19 +149,25 @@ def test_more_views_than_two_are_no_pair_unless_their_truth_says_so(tmp_path: Pa
 
 def test_images_that_are_the_size_of_one_eye_are_not_halved(tmp_path: Path) -> None:
     save(tmp_path / "000001.png", picture(0, 0))
-    with pytest.raises(FrameError, match=r"32×20 px, as one eye of the calibration: these are images of one eye"):
+    with pytest.raises(
+        FrameError, match=r"32×20 px, as one eye of the calibration: these are images of one eye"
+    ):
         expect_eyes(open_source(tmp_path), (WIDTH, HEIGHT)).read(0)
 
 
 def test_images_over_and_under_are_told(tmp_path: Path) -> None:
     save(tmp_path / "000001.png", np.vstack([picture(0, 0), picture(0, 1)]))
-    with pytest.raises(FrameError, match=r"32×40 px, as two eyes of the calibration over and under"):
+    with pytest.raises(
+        FrameError, match=r"32×40 px, as two eyes of the calibration over and under"
+    ):
         expect_eyes(open_source(tmp_path), (WIDTH, HEIGHT)).read(0)
 
 
 def test_images_beside_each_other_pass(tmp_path: Path) -> None:
     save(tmp_path / "000001.png", np.hstack([picture(0, 0), picture(0, 1)]))
-    np.testing.assert_array_equal(expect_eyes(open_source(tmp_path), (WIDTH, HEIGHT)).read(0).right, picture(0, 1))
+    np.testing.assert_array_equal(
+        expect_eyes(open_source(tmp_path), (WIDTH, HEIGHT)).read(0).right, picture(0, 1)
+    )
 
 
 def test_one_eye_s_folder_alone(tmp_path: Path) -> None:
@@ -175,10 +208,15 @@ EPOCH = 1_403_636_579_763_555_584
 
 
 def test_names_that_are_stamps_are_paired_by_them_alone(tmp_path: Path) -> None:
-    for n, (left_ms, right_ms) in enumerate([(0, 0.4), (50, 49.8), (100, None), (None, 150.2), (200, 230)]):
+    for n, (left_ms, right_ms) in enumerate(
+        [(0, 0.4), (50, 49.8), (100, None), (None, 150.2), (200, 230)]
+    ):
         for eye, ms in (("left", left_ms), ("right", right_ms)):
             if ms is not None:
-                save(tmp_path / eye / f"{EPOCH + round(1e6 * ms)}.png", picture(n, int(eye == "right")))
+                save(
+                    tmp_path / eye / f"{EPOCH + round(1e6 * ms)}.png",
+                    picture(n, int(eye == "right")),
+                )
     source = open_source(tmp_path)
     assert [tuple(file is not None for file in pair) for pair in source.pairs] == [
         (True, True), (True, True), (True, False), (False, True), (True, False), (False, True),
@@ -199,18 +237,41 @@ def test_the_table_of_euroc_gives_stamps(tmp_path: Path) -> None:
     rows = "".join(f"{EPOCH + n * 50_000_000},{n}.png\r\n" for n in range(2))
     (tmp_path / "mav0" / "cam0" / "data.csv").write_text(f"#timestamp [ns],filename\r\n{rows}")
     stamps = [open_source(tmp_path).stamp(n) for n in range(3)]
-    assert [(stamp.ns, stamp.source) for stamp in stamps[:2]] == [(EPOCH, "csv"), (EPOCH + 50_000_000, "csv")]
+    assert [(stamp.ns, stamp.source) for stamp in stamps[:2]] == [
+        (EPOCH, "csv"),
+        (EPOCH + 50_000_000, "csv"),
+    ]
     assert stamps[2].source == "modification time"
 
 
 # --- topics
 
 TOPICS = {
-    "ZED wrapper 3": ("/zed/zed_node/left/image_rect_color", "/zed/zed_node/right/image_rect_color", True),
-    "ZED wrapper 4, raw": ("/zed/zed_node/left_raw/image_raw_color", "/zed/zed_node/right_raw/image_raw_color", False),
-    "ZED wrapper 5": ("/zed/zed_node/left/color/rect/image", "/zed/zed_node/right/color/rect/image", True),
-    "ZED wrapper 5, raw": ("/zed/zed_node/left/gray/raw/image", "/zed/zed_node/right/gray/raw/image", False),
-    "RealSense, ROS 2": ("/camera/camera/infra1/image_rect_raw", "/camera/camera/infra2/image_rect_raw", True),
+    "ZED wrapper 3": (
+        "/zed/zed_node/left/image_rect_color",
+        "/zed/zed_node/right/image_rect_color",
+        True,
+    ),
+    "ZED wrapper 4, raw": (
+        "/zed/zed_node/left_raw/image_raw_color",
+        "/zed/zed_node/right_raw/image_raw_color",
+        False,
+    ),
+    "ZED wrapper 5": (
+        "/zed/zed_node/left/color/rect/image",
+        "/zed/zed_node/right/color/rect/image",
+        True,
+    ),
+    "ZED wrapper 5, raw": (
+        "/zed/zed_node/left/gray/raw/image",
+        "/zed/zed_node/right/gray/raw/image",
+        False,
+    ),
+    "RealSense, ROS 2": (
+        "/camera/camera/infra1/image_rect_raw",
+        "/camera/camera/infra2/image_rect_raw",
+        True,
+    ),
     "RealSense's recorder": (
         "/device_0/sensor_0/Infrared_1/image/data",
         "/device_0/sensor_0/Infrared_2/image/data",
@@ -224,5 +285,8 @@ TOPICS = {
 @pytest.mark.parametrize("name", TOPICS)
 def test_topics_of_drivers(name: str) -> None:
     left, right, rectified = TOPICS[name]
-    assert choose_topics((right, left, "/rgb/image", "/depth/image"), None, Path("bag")) == (left, right)
+    assert choose_topics((right, left, "/rgb/image", "/depth/image"), None, Path("bag")) == (
+        left,
+        right,
+    )
     assert is_rectified(left) is rectified

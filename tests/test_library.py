@@ -1,4 +1,5 @@
-"""The library's face: what README and docs/python.md show, in the shapes and words that they promise."""
+"""The library's face: what README and docs/python.md show, in the shapes and words that they
+promise."""
 
 import json
 import re
@@ -35,7 +36,9 @@ def blocks(page: str) -> list[str]:
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_every_python_line_of_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_python_line_of_a_page_runs(
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """In a folder that holds what the lines name, one block after the other, in one namespace."""
     for name in ("calibration.yaml", "site.yaml"):
         (tmp_path / name).write_bytes((SCENE / name).read_bytes())
@@ -47,7 +50,9 @@ def test_every_python_line_of_a_page_runs(page: str, tmp_path: Path, monkeypatch
     code = "\n".join(blocks(page))
     assert code, f"{page} shows no Python"
     # A program of its own: worker processes must be able to import it.
-    program = "if __name__ == '__main__':\n" + "".join(f"    {line}\n" for line in code.splitlines())
+    program = "if __name__ == '__main__':\n" + "".join(
+        f"    {line}\n" for line in code.splitlines()
+    )
     (tmp_path / "page.py").write_text(program)
     done = subprocess.run([sys.executable, "page.py"], capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
@@ -78,15 +83,22 @@ def test_the_arm_has_coordinates_of_every_point(result: so.Result) -> None:
         assert ore.arm is not None
         assert ore.solid is not None
         assert ore.solid.arm is not None
-        np.testing.assert_allclose(ore.arm.surface_centroid, entry["surface_centroid"]["arm"], atol=1e-6)
+        np.testing.assert_allclose(
+            ore.arm.surface_centroid, entry["surface_centroid"]["arm"], atol=1e-6
+        )
         centre = entry["centre_of_gravity"]["arm"]
         np.testing.assert_allclose(ore.solid.arm.centre_of_gravity, centre, atol=1e-6)
         # The same body: a rigid motion keeps its vertices' distances from its centre of gravity.
-        spread, moved = (np.linalg.norm(s.vertices - s.centre_of_gravity, axis=1) for s in (ore.solid, ore.solid.arm))
+        spread, moved = (
+            np.linalg.norm(s.vertices - s.centre_of_gravity, axis=1)
+            for s in (ore.solid, ore.solid.arm)
+        )
         np.testing.assert_allclose(moved, spread, atol=1e-5)
         if ore.strike is not None:
             assert ore.strike.arm is not None
-            np.testing.assert_allclose(ore.strike.arm.point, entry["strike"]["point"]["arm"], atol=1e-6)
+            np.testing.assert_allclose(
+                ore.strike.arm.point, entry["strike"]["point"]["arm"], atol=1e-6
+            )
 
 
 def test_without_an_arm_there_are_no_coordinates_for_it(result: so.Result) -> None:
@@ -96,7 +108,9 @@ def test_without_an_arm_there_are_no_coordinates_for_it(result: so.Result) -> No
         assert (ore.arm, ore.solid and ore.solid.arm, ore.strike and ore.strike.arm) == (None,) * 3
 
 
-def test_a_result_prints_in_a_line_and_shows_as_a_table(result: so.Result, detector: so.Detector) -> None:
+def test_a_result_prints_in_a_line_and_shows_as_a_table(
+    result: so.Result, detector: so.Detector
+) -> None:
     assert re.fullmatch(r"Result\('paper_03': ok, \d+ ores, \d+ targets\)", repr(result))
     html = result._repr_html_()
     assert html.count("<tr>") == len(result.ores) + 1
@@ -123,7 +137,10 @@ def test_a_cloud_for_numpy_and_for_open3d(result: so.Result) -> None:
 def test_a_pair_from_arrays_that_does_not_fit_is_a_failed_frame(detector: so.Detector) -> None:
     grey = np.full((100, 120, 3), 90, np.uint8)
     result = detector(so.StereoPair(grey, grey))
-    assert (result.status, [reason.code for reason in result.reasons]) == ("failed", ["SIZE_MISMATCH"])
+    assert (result.status, [reason.code for reason in result.reasons]) == (
+        "failed",
+        ["SIZE_MISMATCH"],
+    )
     assert result.to_numpy().size == 0
     with pytest.raises(so.OutputError, match="calibration is for 1280×720"):
         result.overlay()
@@ -146,12 +163,16 @@ def test_a_recording_leaves_out_what_cannot_be_read(tmp_path: Path, caplog: Any)
 
 def test_a_run_is_that_of_the_command(detector: so.Detector, tmp_path: Path) -> None:
     seen: list[tuple[int, int]] = []
-    results = so.run(SCENE, detector, tmp_path / "out", report=False, progress=lambda *at: seen.append(at))
+    results = so.run(
+        SCENE, detector, tmp_path / "out", report=False, progress=lambda *at: seen.append(at)
+    )
     command = [sys.executable, "-m", "stereo_ore", "-q", "run", SCENE, "--no-report"]
     files = ["--calib", SCENE / "calibration.yaml", "--site", SCENE / "site.yaml"]
     subprocess.run([*command, *files, "--out", tmp_path / "same"], check=True, capture_output=True)
     for name in ("frames.jsonl", "ores.csv", "config.yaml", "calibration.yaml", "site.yaml"):
-        assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "same" / name).read_bytes(), name
+        assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "same" / name).read_bytes(), (
+            name
+        )
     assert seen == [(0, 1), (1, 1)]
     assert results.records[0]["frame"] == "paper_03"
     with pytest.raises(TypeError, match="wokers"):

@@ -1,4 +1,5 @@
-"""The operator's page: what it answers, to whom, and that it says when it is stale, in a real browser too."""
+"""The operator's page: what it answers, to whom, and that it says when it is stale, in a real
+browser too."""
 
 import html
 import json
@@ -25,7 +26,9 @@ from stereo_ore.plant.page import LivePage
 from stereo_ore.plant.publisher import Publisher
 from stereo_ore.plant.status import Status
 
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+BROWSER = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
 
 
 class Source:
@@ -104,13 +107,19 @@ def test_targets_are_gone_when_they_have_expired(live):
     wait_for(lambda: not live.state()["message"]["valid"], 4, "expiry")
     wait_for(lambda: live.state()["message"]["status"] == "expired", 4, "withdrawal")
     state = live.state()
-    assert (state["valid_s"], state["message"]["targets"], state["message"]["status"]) == (0.0, [], "expired")
+    assert (state["valid_s"], state["message"]["targets"], state["message"]["status"]) == (
+        0.0,
+        [],
+        "expired",
+    )
 
 
 def test_the_overlay_is_that_of_the_latest_frame(live):
     for index in (7, 200):
         live.add(index)
-        picture = cv2.imdecode(np.frombuffer(live.get(f"overlay.png?{index}")[1], np.uint8), cv2.IMREAD_COLOR)
+        picture = cv2.imdecode(
+            np.frombuffer(live.get(f"overlay.png?{index}")[1], np.uint8), cv2.IMREAD_COLOR
+        )
         assert picture[0, 0, 0] == index
 
 
@@ -127,11 +136,24 @@ def ask(live: Live, request: str) -> tuple[int, dict[str, str], bytes]:
         answer = HTTPResponse(connection, method=request.partition(" ")[0])
         answer.begin()
         with answer:
-            return answer.status, {key.lower(): value for key, value in answer.getheaders()}, answer.read()
+            return (
+                answer.status,
+                {key.lower(): value for key, value in answer.getheaders()},
+                answer.read(),
+            )
 
 
 @pytest.mark.parametrize(
-    "host", ["localhost", "127.0.0.1", "localhost:8080", "127.0.0.1:80", "LOCALHOST", "[::1]", "[::1]:8080"]
+    "host",
+    [
+        "localhost",
+        "127.0.0.1",
+        "localhost:8080",
+        "127.0.0.1:80",
+        "LOCALHOST",
+        "[::1]",
+        "[::1]:8080",
+    ],
 )
 def test_this_machine_is_known_with_and_without_a_port(live, host):
     for path in ("/", "/state.json", "http://localhost/state.json", "/health", "/metrics"):
@@ -141,7 +163,10 @@ def test_this_machine_is_known_with_and_without_a_port(live, host):
 @pytest.mark.parametrize("path", ["/", "/state.json", "/metrics", "/health", "/nothing"])
 def test_head_is_get_without_content(live, path):
     live.add(0)
-    get, head = (ask(live, f"{method} {path} HTTP/1.1\r\nHost: localhost\r\n\r\n") for method in ("GET", "HEAD"))
+    get, head = (
+        ask(live, f"{method} {path} HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        for method in ("GET", "HEAD")
+    )
     assert get[0] == head[0] == (404 if path == "/nothing" else 200)
     assert head[1]["content-type"] == get[1]["content-type"]
     assert (int(get[1]["content-length"]), head[2]) == (len(get[2]), b"")
@@ -153,7 +178,11 @@ def test_names_of_a_proxy_are_known_when_they_are_given(tmp_path):
     with Publisher([ListSink()], valid_for_s=2.0) as publisher:
         live = Live(tmp_path, publisher, ("Vision.plant",))
         with live.page:
-            for host, code in (("vision.plant", 200), ("vision.plant:8443", 200), ("vision.plant.evil", 403)):
+            for host, code in (
+                ("vision.plant", 200),
+                ("vision.plant:8443", 200),
+                ("vision.plant.evil", 403),
+            ):
                 assert live.get("state.json", Host=host)[0] == code
 
 
@@ -165,24 +194,37 @@ def listens(port: int) -> bool:
 NGINX = shutil.which("nginx") or shutil.which("nginx", path="/usr/sbin")
 
 
-@pytest.mark.skipif(NGINX is None, reason="nginx is not installed (Debian: apt-get install nginx-light)")
+@pytest.mark.skipif(
+    NGINX is None, reason="nginx is not installed (Debian: apt-get install nginx-light)"
+)
 @pytest.mark.parametrize("host", ["$host", "$proxy_host", "$http_host"])
 def test_behind_nginx_on_this_machine(live, tmp_path, host):
     """Below a path of its own, with each of the Host headers that people configure."""
     port, folder = free_port(), tmp_path / "nginx"
     folder.mkdir()
-    temporary = "".join(f"{kind}_temp_path {folder};" for kind in ("client_body", "proxy", "fastcgi", "uwsgi", "scgi"))
+    temporary = "".join(
+        f"{kind}_temp_path {folder};"
+        for kind in ("client_body", "proxy", "fastcgi", "uwsgi", "scgi")
+    )
     proxy = f"proxy_pass {live.page.url}; proxy_set_header Host {host};"
     server = f"server {{ listen 127.0.0.1:{port}; location /ore/ {{ {proxy} }} }}"
     http = f"http {{ access_log off; {temporary} {server} }}"
-    (folder / "nginx.conf").write_text(f"daemon off; master_process off; pid {folder}/pid; events {{}} {http}")
+    (folder / "nginx.conf").write_text(
+        f"daemon off; master_process off; pid {folder}/pid; events {{}} {http}"
+    )
     command = [str(NGINX), "-c", str(folder / "nginx.conf"), "-e", str(folder / "log")]
     with subprocess.Popen(command) as nginx:
         try:
             wait_for(lambda: listens(port), what="nginx")
             live.add(3)
-            for path, content in (("", b"<!doctype html>"), ("state.json", b"{"), ("overlay.png?3", b"\x89PNG")):
-                with urllib.request.urlopen(f"http://localhost:{port}/ore/{path}", timeout=5) as answer:
+            for path, content in (
+                ("", b"<!doctype html>"),
+                ("state.json", b"{"),
+                ("overlay.png?3", b"\x89PNG"),
+            ):
+                with urllib.request.urlopen(
+                    f"http://localhost:{port}/ore/{path}", timeout=5
+                ) as answer:
                     assert answer.read().startswith(content)
         finally:
             nginx.terminate()
@@ -190,7 +232,17 @@ def test_behind_nginx_on_this_machine(live, tmp_path, host):
 
 @pytest.mark.parametrize(
     "host",
-    ["evil.example", "evil.example:80", "192.168.0.1", "", "localhost.evil", "a@localhost:x", "[::2]", "[", ":80"],
+    [
+        "evil.example",
+        "evil.example:80",
+        "192.168.0.1",
+        "",
+        "localhost.evil",
+        "a@localhost:x",
+        "[::2]",
+        "[",
+        ":80",
+    ],
 )
 def test_other_names_for_this_machine_are_refused(live, host):
     assert live.get("state.json", Host=host)[0] == 403
@@ -202,7 +254,10 @@ def test_nothing_else_is_served(live, path):
 
 
 def test_a_port_in_use_is_an_error(live):
-    with pytest.raises(OutputError, match="another program"), LivePage(live.page.port, live.status, live.folder):
+    with (
+        pytest.raises(OutputError, match="another program"),
+        LivePage(live.page.port, live.status, live.folder),
+    ):
         pass
 
 
@@ -214,7 +269,13 @@ def test_the_page_loads_nothing_from_elsewhere():
 
 def rendered(live: Live, wait_ms: int, profile: Path) -> str:
     """Text of the page after a while, as a browser shows it."""
-    options = ["--headless=new", "--no-sandbox", "--disable-gpu", f"--user-data-dir={profile}", "--dump-dom"]
+    options = [
+        "--headless=new",
+        "--no-sandbox",
+        "--disable-gpu",
+        f"--user-data-dir={profile}",
+        "--dump-dom",
+    ]
     command = [str(BROWSER), *options, f"--virtual-time-budget={wait_ms}", live.page.url]
     dom = subprocess.run(command, capture_output=True, text=True, timeout=90, check=True).stdout
     return html.unescape(re.sub(r"<(script|style)\b.*?</\1>", "", dom, flags=re.DOTALL))

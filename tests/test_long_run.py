@@ -1,4 +1,5 @@
-"""20,000 frames through `serve` at 100 a second: memory and handles flat, clock stamps without drift, latency stable.
+"""20,000 frames through `serve` at 100 a second: memory and handles flat, clock stamps without
+drift, latency stable.
 
 Run as a program this file is the OPC UA client: it subscribes, and prints a line of JSON a message.
 """
@@ -55,8 +56,12 @@ def used() -> tuple[float, int, int]:
 
 
 def receive(port: int, rows: Any) -> None:
-    """Sequence, index, both stamps and time of arrival [ns] of every message that a TCP consumer gets, by index."""
-    with socket.create_connection(("127.0.0.1", port)) as connection, connection.makefile("rb") as lines:
+    """Sequence, index, both stamps and time of arrival [ns] of every message that a TCP consumer
+    gets, by index."""
+    with (
+        socket.create_connection(("127.0.0.1", port)) as connection,
+        connection.makefile("rb") as lines,
+    ):
         for line in lines:
             now = time.time_ns()
             message = json.loads(line)
@@ -80,14 +85,19 @@ def test_20_000_frames_at_100_a_second(tmp_path: Path) -> None:
     from stereo_ore.plant.sinks.tcp import TcpSink
 
     opcua, tcp = OpcUaSink("127.0.0.1", free_port()), TcpSink("127.0.0.1", 0)
-    rows = np.full((FRAMES, 5), -1, np.int64)  # all of it at once: a list that grows would look like a leak
+    rows = np.full(
+        (FRAMES, 5), -1, np.int64
+    )  # all of it at once: a list that grows would look like a leak
     samples: list[tuple[float, int, int]] = []
     go = threading.Event()
     with running(Paced(go), tmp_path / "out", [opcua, tcp], VALID_FOR_S) as (status, _, _):
         reader = threading.Thread(target=receive, args=(tcp.port, rows))
         reader.start()
         command = [sys.executable, __file__, opcua.url]
-        with (tmp_path / "seen").open("w") as file, subprocess.Popen(command, stdout=file) as client:
+        with (
+            (tmp_path / "seen").open("w") as file,
+            subprocess.Popen(command, stdout=file) as client,
+        ):
 
             def done() -> int:
                 return sum(status.json()["frames"].values())
@@ -98,11 +108,19 @@ def test_20_000_frames_at_100_a_second(tmp_path: Path) -> None:
             for count in range(WARM, FRAMES + 1, 1000):
                 wait_for(lambda count=count: done() >= count, 600, what=f"frame {count}")
                 samples.append(used())
-            wait_for(lambda: opcua.state().sent + opcua.state().dropped >= FRAMES, 60, what="last message")
+            wait_for(
+                lambda: opcua.state().sent + opcua.state().dropped >= FRAMES,
+                60,
+                what="last message",
+            )
             dropped = opcua.state().dropped + tcp.state().dropped
             time.sleep(1)
             client.terminate()
-        seen = [json.loads(line) for line in (tmp_path / "seen").read_text().splitlines() if line[0] == "["]
+        seen = [
+            json.loads(line)
+            for line in (tmp_path / "seen").read_text().splitlines()
+            if line[0] == "["
+        ]
     reader.join(20)
     judge(rows[rows[:, 0] >= 0], np.array(seen), np.array(samples), dropped)
 
@@ -112,7 +130,8 @@ def judge(rows: Any, seen: Any, samples: Any, dropped: int) -> None:
     sequence, index, published, until, arrived = rows.T
     seen = seen[seen[:, 0] > 0]  # number 0 was there before the client
     tcp_ms, opcua_ms = (arrived - published) / 1e6, seen[:, 1]
-    # Against the frame's place in time: what is late now and then is load, what is late by and by is drift.
+    # Against the frame's place in time: what is late now and then is load, what is late by and by
+    # is drift.
     late_ms = ((published - published[0]) - (index - index[0]) * 1e9 / RATE_HZ) / 1e6
     drift_ms = [round(float(np.quantile(part, 0.1)), 2) for part in np.array_split(late_ms, 4)]
     held_s = (until - published) / 1e9
@@ -120,13 +139,19 @@ def judge(rows: Any, seen: Any, samples: Any, dropped: int) -> None:
         "messages TCP": len(rows),
         "messages OPC UA": len(seen),
         "dropped": dropped,
-        "memory MB": [round(float(value), 1) for value in (samples[0, 0], samples[-1, 0], samples[:, 0].max())],
+        "memory MB": [
+            round(float(value), 1) for value in (samples[0, 0], samples[-1, 0], samples[:, 0].max())
+        ],
         "handles": sorted(set(samples[:, 1].astype(int).tolist())),
         "threads": sorted(set(samples[:, 2].astype(int).tolist())),
         "TCP ms by quarter": quarters(tcp_ms),
-        "TCP ms 99 %, max": [round(float(value), 1) for value in (np.quantile(tcp_ms, 0.99), tcp_ms.max())],
+        "TCP ms 99 %, max": [
+            round(float(value), 1) for value in (np.quantile(tcp_ms, 0.99), tcp_ms.max())
+        ],
         "OPC UA ms by quarter": quarters(opcua_ms),
-        "OPC UA ms 99 %, max": [round(float(value), 1) for value in (np.quantile(opcua_ms, 0.99), opcua_ms.max())],
+        "OPC UA ms 99 %, max": [
+            round(float(value), 1) for value in (np.quantile(opcua_ms, 0.99), opcua_ms.max())
+        ],
         "stamps behind the clock, ms by quarter (10 %)": drift_ms,
         "held s": [round(float(value), 4) for value in (held_s.min(), held_s.max())],
     }
@@ -137,7 +162,9 @@ def judge(rows: Any, seen: Any, samples: Any, dropped: int) -> None:
     assert (np.diff(seen[:, 0]) > 0).all()
     assert samples[-1, 0] < 1.05 * samples[0, 0]
     assert samples[:, 1].max() <= samples[0, 1]
-    assert samples[:, 2].max() <= samples[0, 2] + 2  # the event loop's pool makes its threads as it needs them
+    assert (
+        samples[:, 2].max() <= samples[0, 2] + 2
+    )  # the event loop's pool makes its threads as it needs them
     for values in (tcp_ms, opcua_ms):
         first, *_, last = quarters(values)
         assert last < 2 * first + 5

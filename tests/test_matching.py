@@ -1,4 +1,5 @@
-"""Matching against exact disparities: planes, steps, borders, offsets, gains, weak texture, threads."""
+"""Matching against exact disparities: planes, steps, borders, offsets, gains, weak texture,
+threads."""
 
 from dataclasses import replace
 
@@ -27,14 +28,21 @@ def texture(height: int, width: int, seed: int = 0) -> np.ndarray:
     return np.clip(128 + 40 * mixed / mixed.std(), 0, 255)
 
 
-def pair_of(disparity: np.ndarray, rig: Rig = RIG, noise: float = 0.0, gain: float = 1.0) -> RectifiedPair:
+def pair_of(
+    disparity: np.ndarray, rig: Rig = RIG, noise: float = 0.0, gain: float = 1.0
+) -> RectifiedPair:
     """A pair whose left pixels have these disparities, seen where nothing hides them."""
     height, width = disparity.shape
     right = texture(height, width)
     u, v = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
-    left = cv2.remap(right, u - disparity.astype(np.float32), v, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+    left = cv2.remap(
+        right, u - disparity.astype(np.float32), v, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT
+    )
     rng = np.random.default_rng(1)
-    eyes = [np.clip(g * e + rng.normal(0, noise, e.shape), 0, 255) for g, e in ((1.0, left), (gain, right))]
+    eyes = [
+        np.clip(g * e + rng.normal(0, noise, e.shape), 0, 255)
+        for g, e in ((1.0, left), (gain, right))
+    ]
     return RectifiedPair(*(cv2.merge([np.rint(eye).astype(np.uint8)] * 3) for eye in eyes), rig)
 
 
@@ -44,10 +52,14 @@ def plate_before_wall(near: int, far: int) -> RectifiedPair:
     left, right = np.roll(wall, far, 1), wall.copy()
     left[100:220, 150:330] = plate[100:220, 150:330]
     right[100:220, 150 - near : 330 - near] = plate[100:220, 150:330]
-    return RectifiedPair(*(cv2.merge([np.rint(eye).astype(np.uint8)] * 3) for eye in (left, right)), RIG)
+    return RectifiedPair(
+        *(cv2.merge([np.rint(eye).astype(np.uint8)] * 3) for eye in (left, right)), RIG
+    )
 
 
-def errors(pair: RectifiedPair, truth: np.ndarray, region: Region, config: MatchingConfig = CONFIG) -> np.ndarray:
+def errors(
+    pair: RectifiedPair, truth: np.ndarray, region: Region, config: MatchingConfig = CONFIG
+) -> np.ndarray:
     return matching.match(pair, region, config).values - truth
 
 
@@ -103,7 +115,9 @@ def test_the_smallest_disparity_may_have_either_sign(shift: int) -> None:
 def test_the_calibrations_offset_is_added_once() -> None:
     truth = np.full((80, 240), 12.0)
     rig = replace(RIG, width=240, height=80, disparity_offset_px=1.5)
-    assert np.nanmedian(errors(pair_of(truth, rig), truth, whole(rig, 0, 32))) == pytest.approx(1.5, abs=0.02)
+    assert np.nanmedian(errors(pair_of(truth, rig), truth, whole(rig, 0, 32))) == pytest.approx(
+        1.5, abs=0.02
+    )
 
 
 def test_a_brighter_eye_changes_little() -> None:
@@ -115,7 +129,8 @@ def test_a_brighter_eye_changes_little() -> None:
 
 
 def test_what_one_eye_cannot_see_is_not_invented() -> None:
-    """A near square before a far wall: the strip beside it that only the left eye sees has no disparity."""
+    """A near square before a far wall: the strip beside it that only the left eye sees has no
+    disparity."""
     disparity = matching.match(plate_before_wall(40, 10), whole(RIG), CONFIG)
     hidden = disparity.values[110:210, 150 - 30 + 4 : 150 - 4]
     assert np.isfinite(hidden).mean() < 0.35
@@ -158,7 +173,12 @@ def test_every_cue_is_a_finite_image_and_tells_noise_from_surface(flat_plane_pai
     assert wrong.sum() > 50
     for name, cue in disparity.cues.items():
         assert np.isfinite(cue[valid]).all(), name
-    for name, sign in (("valid_share", -1), ("spread_px", 1), ("photometric", 1), ("median_diff_px", 1)):
+    for name, sign in (
+        ("valid_share", -1),
+        ("spread_px", 1),
+        ("photometric", 1),
+        ("median_diff_px", 1),
+    ):
         cue = disparity.cues[name]
         assert sign * (cue[wrong].mean() - cue[right].mean()) > 0, name
 
@@ -174,7 +194,9 @@ def test_the_result_does_not_depend_on_threads(flat_plane_pair) -> None:
         cv2.setNumThreads(threads)
     for other in results[1:]:
         assert other.values.tobytes() == results[0].values.tobytes()
-        assert all(other.cues[name].tobytes() == cue.tobytes() for name, cue in results[0].cues.items())
+        assert all(
+            other.cues[name].tobytes() == cue.tobytes() for name, cue in results[0].cues.items()
+        )
 
 
 @pytest.mark.parametrize("size", [(3, 40), (1, 33), (97, 17)])
@@ -190,7 +212,13 @@ def slab(low: float, high: float, half: float = 0.3, x: float = 0.0) -> Volume:
     return Volume(np.eye(4), np.array([x - half, -half, low]), np.array([x + half, half, high]))
 
 
-@given(st.floats(0.0, 1.0), st.floats(-0.5, 0.5), st.floats(0.8, 2.0), st.floats(0.05, 0.4), st.floats(-0.6, 0.6))
+@given(
+    st.floats(0.0, 1.0),
+    st.floats(-0.5, 0.5),
+    st.floats(0.8, 2.0),
+    st.floats(0.05, 0.4),
+    st.floats(-0.6, 0.6),
+)
 @settings(deadline=None, max_examples=60)
 def test_all_of_the_volume_that_is_in_view_is_in_the_region(
     tilt: float, roll: float, distance: float, half: float, x: float
@@ -230,7 +258,9 @@ def test_a_volume_around_the_camera_is_cut_at_the_nearest_searched_disparity() -
     assert region.num_disparities <= 112
 
 
-@pytest.mark.parametrize("volume", [slab(-2.0, -1.0), slab(1.0, 1.2, 0.1, 5.0)], ids=["behind", "beside"])
+@pytest.mark.parametrize(
+    "volume", [slab(-2.0, -1.0), slab(1.0, 1.2, 0.1, 5.0)], ids=["behind", "beside"]
+)
 def test_a_volume_out_of_view_is_refused(volume: Volume) -> None:
     with pytest.raises(ConfigError, match="working_volume"):
         matching.find_region(RIG, volume, CONFIG)
@@ -238,7 +268,10 @@ def test_a_volume_out_of_view_is_refused(volume: Volume) -> None:
 
 def test_without_a_volume_the_whole_image_and_a_fifth_of_its_width_are_searched() -> None:
     assert matching.find_region(RIG, None, CONFIG) == Region(0, 0, 480, 320, 0, 96)
-    assert matching.find_region(RIG, slab(1, 2), MatchingConfig(use_region=False)).num_disparities == 96
+    assert (
+        matching.find_region(RIG, slab(1, 2), MatchingConfig(use_region=False)).num_disparities
+        == 96
+    )
     given = MatchingConfig(min_disparity=5, num_disparities=40)
     assert matching.find_region(RIG, slab(1, 2), given).min_disparity == 5
     assert matching.find_region(RIG, slab(1, 2), given).num_disparities == 48
@@ -256,7 +289,8 @@ def test_narrowing_keeps_what_the_frame_shows(flat_plane_pair) -> None:
 
 
 def test_narrowing_looks_behind_the_volume_and_no_wider_than_it() -> None:
-    """A plate inside the volume before a wall behind it: the wall's disparity is searched, not all of its pixels."""
+    """A plate inside the volume before a wall behind it: the wall's disparity is searched, not all
+    of its pixels."""
     volume = slab(0.9, 1.1)
     first = matching.find_region(RIG, volume, CONFIG)
     region = matching.narrow(plate_before_wall(36, 14), first, volume, CONFIG)
@@ -269,8 +303,16 @@ def test_narrowing_looks_behind_the_volume_and_no_wider_than_it() -> None:
 def test_narrowing_gives_up_where_nothing_can_be_matched() -> None:
     black = np.zeros((320, 480, 3), np.uint8)
     region = whole(RIG, 3, 128)
-    assert matching.narrow(RectifiedPair(black, black, RIG), region, None, CONFIG).num_disparities >= 16
-    assert np.isnan(matching.match(RectifiedPair(black, 255 - black, RIG), region, CONFIG).values).mean() >= 0
+    assert (
+        matching.narrow(RectifiedPair(black, black, RIG), region, None, CONFIG).num_disparities
+        >= 16
+    )
+    assert (
+        np.isnan(
+            matching.match(RectifiedPair(black, 255 - black, RIG), region, CONFIG).values
+        ).mean()
+        >= 0
+    )
 
 
 def test_narrowing_keeps_a_small_far_piece_of_the_volume() -> None:
@@ -278,7 +320,9 @@ def test_narrowing_keeps_a_small_far_piece_of_the_volume() -> None:
     left, right = np.roll(near, 42, 1), near.copy()
     left[100:130, 200:230] = far[100:130, 200:230]
     right[100:130, 168:198] = far[100:130, 200:230]
-    pair = RectifiedPair(*(cv2.merge([np.rint(eye).astype(np.uint8)] * 3) for eye in (left, right)), RIG)
+    pair = RectifiedPair(
+        *(cv2.merge([np.rint(eye).astype(np.uint8)] * 3) for eye in (left, right)), RIG
+    )
     volume = slab(0.8, 1.2, 0.6)
     region = matching.narrow(pair, matching.find_region(RIG, volume, CONFIG), volume, CONFIG)
     assert region.min_disparity <= 31

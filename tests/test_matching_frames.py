@@ -18,7 +18,10 @@ FRAMES = 8
 
 def noisy(pair: RectifiedPair, seed: int, sigma: float = 4.0) -> RectifiedPair:
     rng = np.random.default_rng(seed)
-    eyes = [np.clip(eye + rng.normal(0, sigma, eye.shape), 0, 255).astype(np.uint8) for eye in (pair.left, pair.right)]
+    eyes = [
+        np.clip(eye + rng.normal(0, sigma, eye.shape), 0, 255).astype(np.uint8)
+        for eye in (pair.left, pair.right)
+    ]
     return RectifiedPair(*eyes, pair.rig)
 
 
@@ -33,7 +36,8 @@ def frames(flat_plane_pair) -> tuple[list[RectifiedPair], list[Disparity]]:
 
 
 def plane_noise(disparity: Disparity, pair: RectifiedPair) -> float:
-    """Root mean square distance from the best plane of inverse depth over the middle of the image."""
+    """Root mean square distance from the best plane of inverse depth over the middle of the
+    image."""
     window = slice(60, 260), slice(120, 400)
     v, u = np.mgrid[window]
     d = disparity.values[window]
@@ -81,7 +85,9 @@ def test_a_moving_frame_is_refused_and_named(frames) -> None:
     lefts = [pair.left for pair in pairs]
     lefts[5] = lefts[5].copy()
     lefts[5][140:200, 200:260] = np.roll(lefts[5], 25, 1)[140:200, 200:260]
-    fused = matching.fuse([replace(pair, left=left) for pair, left in zip(pairs, lefts, strict=True)], disparities)
+    fused = matching.fuse(
+        [replace(pair, left=left) for pair, left in zip(pairs, lefts, strict=True)], disparities
+    )
     assert fused.diagnostics["refused"] == [5]
     assert fused.diagnostics["fused"] == FRAMES - 1
 
@@ -90,13 +96,18 @@ def test_a_moving_camera_is_an_error(frames) -> None:
     pairs, disparities = frames
     lefts = [np.roll(pair.left, 3 * i, 1) for i, pair in enumerate(pairs)]
     with pytest.raises(FrameError, match="moved") as caught:
-        matching.fuse([replace(pair, left=left) for pair, left in zip(pairs, lefts, strict=True)], disparities)
+        matching.fuse(
+            [replace(pair, left=left) for pair, left in zip(pairs, lefts, strict=True)], disparities
+        )
     assert caught.value.code == "MOVING_SCENE"
 
 
 def test_flicker_of_the_light_is_not_motion(frames) -> None:
     pairs, disparities = frames
-    lefts = [np.clip(pair.left * (0.9 + 0.02 * i), 0, 255).astype(np.uint8) for i, pair in enumerate(pairs)]
+    lefts = [
+        np.clip(pair.left * (0.9 + 0.02 * i), 0, 255).astype(np.uint8)
+        for i, pair in enumerate(pairs)
+    ]
     assert (
         matching.fuse(
             [replace(pair, left=left) for pair, left in zip(pairs, lefts, strict=True)], disparities
@@ -146,7 +157,10 @@ def test_a_moved_camera_is_an_error_not_garbage(shift: float, frames, empty: Bac
 
 def test_a_turned_camera_is_an_error(frames, empty: Background) -> None:
     turned = cv2.warpAffine(
-        frames[1][2].values, cv2.getRotationMatrix2D((240, 160), 20, 1), (480, 320), borderValue=float("nan")
+        frames[1][2].values,
+        cv2.getRotationMatrix2D((240, 160), 20, 1),
+        (480, 320),
+        borderValue=float("nan"),
     )
     with pytest.raises(FrameError, match="moved"):
         background.compare(empty, replace(frames[1][2], values=turned))

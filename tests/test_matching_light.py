@@ -41,8 +41,13 @@ def test_vignetting_is_not_taken_for_depth() -> None:
 def test_a_residue_of_rectification_is_not_taken_for_depth(rows: float) -> None:
     pair = pair_of(RAMP, SMALL, noise=1.0)
     shift = np.array([[1, 0, 0], [0, 1, rows]], float)
-    moved = cv2.warpAffine(pair.right, shift, (300, 160), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
-    assert np.nanmedian(np.abs(error_of(replace(pair, right=np.asarray(moved, np.uint8)), RAMP))) < 0.08
+    moved = cv2.warpAffine(
+        pair.right, shift, (300, 160), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT
+    )
+    assert (
+        np.nanmedian(np.abs(error_of(replace(pair, right=np.asarray(moved, np.uint8)), RAMP)))
+        < 0.08
+    )
 
 
 def test_light_is_evened_where_it_differs_and_only_there() -> None:
@@ -54,7 +59,9 @@ def test_light_is_evened_where_it_differs_and_only_there() -> None:
         alike, compared = light.evened(images, CONFIG)
         assert like is None or (alike.gain != 1) is like
         assert (compared.left is not alike.left) is even
-    with_it, without = (error_of(dark, RAMP, MatchingConfig(even_light=even)) for even in (True, False))
+    with_it, without = (
+        error_of(dark, RAMP, MatchingConfig(even_light=even)) for even in (True, False)
+    )
     assert np.isfinite(with_it).mean() > np.isfinite(without).mean() + 0.02
 
 
@@ -108,17 +115,23 @@ def test_settings_that_opencv_would_change_are_refused(key: str, value: int, tex
         load_config(None, [f"matching.{key}={value}"])
 
 
-def test_confidence_is_there_where_a_disparity_is_and_higher_where_it_is_right(flat_plane_pair) -> None:
+def test_confidence_is_there_where_a_disparity_is_and_higher_where_it_is_right(
+    flat_plane_pair,
+) -> None:
     pair = flat_plane_pair.pair
     spoilt = pair.right.copy()
     spoilt[100:200, 150:300] = np.random.default_rng(2).integers(0, 255, (100, 150, 3))
-    found = matching.match(replace(pair, right=spoilt), whole(pair.rig), MatchingConfig(min_confidence=0))
+    found = matching.match(
+        replace(pair, right=spoilt), whole(pair.rig), MatchingConfig(min_confidence=0)
+    )
     valid = np.isfinite(found.values)
     np.testing.assert_array_equal(np.isfinite(found.confidence), valid)
     assert 0 <= found.confidence[valid].min() <= found.confidence[valid].max() <= 1
     right = np.abs(found.values - flat_plane_pair.disparity)[valid] <= 1
     assert area_under_roc(found.confidence[valid], right) > 0.9
-    strict = matching.match(replace(pair, right=spoilt), whole(pair.rig), MatchingConfig(min_confidence=0.8))
+    strict = matching.match(
+        replace(pair, right=spoilt), whole(pair.rig), MatchingConfig(min_confidence=0.8)
+    )
     np.testing.assert_array_equal(np.isfinite(strict.values), found.confidence >= 0.8)
 
 
@@ -126,7 +139,12 @@ def test_a_network_gives_images_what_it_gives_rows() -> None:
     rng = np.random.default_rng(0)
     images = list(rng.normal(size=(3, 37, 41)).astype(np.float32))
     network = Network(
-        [0.1, 0, -0.2], [1, 2, 0.5], rng.normal(size=(3, 4)).tolist(), [0.1, 0, 0, -1], [1, -1, 2, 0.5], 0.3
+        [0.1, 0, -0.2],
+        [1, 2, 0.5],
+        rng.normal(size=(3, 4)).tolist(),
+        [0.1, 0, 0, -1],
+        [1, -1, 2, 0.5],
+        0.3,
     )
     rows = network.probability(np.column_stack([image.ravel() for image in images]))
     np.testing.assert_allclose(network.map(images).ravel(), rows, atol=1e-6)
@@ -146,9 +164,13 @@ def test_the_shipped_network_says_where_it_comes_from() -> None:
     import json
     from importlib.resources import files
 
-    stored = json.loads((files("stereo_ore.stages.matching") / "confidence.json").read_text(encoding="utf-8"))
+    stored = json.loads(
+        (files("stereo_ore.stages.matching") / "confidence.json").read_text(encoding="utf-8")
+    )
     assert len(confidence.shipped().mean) == len(confidence.WITNESSES)
-    assert {"made_with", "sets", "faults", "seed", "auc_on_sets_left_out"} <= set(stored["provenance"])
+    assert {"made_with", "sets", "faults", "seed", "auc_on_sets_left_out"} <= set(
+        stored["provenance"]
+    )
 
 
 def test_exposure_planted_in_a_real_pair_costs_little(shared_data: Path) -> None:

@@ -26,7 +26,10 @@ def test_on_a_plane_nothing_stands_off(a: float, b: float, c: float) -> None:
     for window in RELIEF_WINDOWS_PX:
         assert np.abs(cues[f"offset_{window}_px"][INSIDE]).max() < 0.01
         # A slope counts as scatter as far as it goes inside a pixel of the copy.
-        assert cues[f"scatter_{window}_px"][INSIDE].max() < 0.7 * np.hypot(a, b) * relief.REDUCTIONS[window] + 0.05
+        assert (
+            cues[f"scatter_{window}_px"][INSIDE].max()
+            < 0.7 * np.hypot(a, b) * relief.REDUCTIONS[window] + 0.05
+        )
         np.testing.assert_allclose(cues[f"support_{window}"][INSIDE], 1, atol=1e-5)
 
 

@@ -46,7 +46,9 @@ def messages(bag: Path) -> dict[str, list[tuple[int, Any]]]:
     found: dict[str, list[tuple[int, Any]]] = {}
     with AnyReader([bag.parent]) as reader:
         for connection, stamp, data in reader.messages():
-            found.setdefault(connection.topic, []).append((stamp, reader.deserialize(data, connection.msgtype)))
+            found.setdefault(connection.topic, []).append(
+                (stamp, reader.deserialize(data, connection.msgtype))
+            )
     return found
 
 
@@ -74,39 +76,67 @@ def test_reference_reader_sees_the_schemas_and_counts(bag: Path) -> None:
 
 
 def test_static_transforms_are_offered_as_their_listeners_ask(bag: Path) -> None:
-    """As ROS 2 writes them: reliable, transient local, keep last, depth 1, in the channel and in metadata.yaml."""
+    """As ROS 2 writes them: reliable, transient local, keep last, depth 1, in the channel and in
+    metadata.yaml."""
     reader = pytest.importorskip("mcap.reader", reason="the reference reader is not installed")
     with bag.open("rb") as file:
         channels = reader.make_reader(file).get_summary().channels.values()
-    topics = yaml.safe_load((bag.parent / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
-    listed = {topic["topic_metadata"]["name"]: topic["topic_metadata"] for topic in topics["topics_with_message_count"]}
+    topics = yaml.safe_load((bag.parent / "metadata.yaml").read_text())[
+        "rosbag2_bagfile_information"
+    ]
+    listed = {
+        topic["topic_metadata"]["name"]: topic["topic_metadata"]
+        for topic in topics["topics_with_message_count"]
+    }
     for channel in channels:
-        for written in (channel.metadata["offered_qos_profiles"], listed[channel.topic]["offered_qos_profiles"]):
+        for written in (
+            channel.metadata["offered_qos_profiles"],
+            listed[channel.topic]["offered_qos_profiles"],
+        ):
             profiles = yaml.safe_load(written) if isinstance(written, str) else written
             if channel.topic != "/tf_static":
                 assert not profiles
                 continue
             (profile,) = profiles
             names = {key: profile[key] for key in ("history", "depth", "reliability", "durability")}
-            expected = {"history": "keep_last", "depth": 1, "reliability": "reliable", "durability": "transient_local"}
+            expected = {
+                "history": "keep_last",
+                "depth": 1,
+                "reliability": "reliable",
+                "durability": "transient_local",
+            }
             numbers = {"history": 1, "depth": 1, "reliability": 1, "durability": 1}
             assert names in (expected, numbers)
     with AnyReader([bag.parent]) as opened:
-        (static,) = [connection for connection in opened.connections if connection.topic == "/tf_static"]
-        assert [profile.durability.name for profile in static.ext.offered_qos_profiles] == ["TRANSIENT_LOCAL"]
+        (static,) = [
+            connection for connection in opened.connections if connection.topic == "/tf_static"
+        ]
+        assert [profile.durability.name for profile in static.ext.offered_qos_profiles] == [
+            "TRANSIENT_LOCAL"
+        ]
 
 
 def test_foxglove_reader_sees_the_same(bag: Path) -> None:
-    rows = {row["topic"]: row for row in node.run("mcap_core.js", str(bag), packages=("@mcap/core",))}
+    rows = {
+        row["topic"]: row for row in node.run("mcap_core.js", str(bag), packages=("@mcap/core",))
+    }
     assert {topic: row["schema"] for topic, row in rows.items()} == SCHEMAS
-    assert [rows[topic]["count"] for topic in ("/tf_static", "/stereo_ore/cloud", "/stereo_ore/record")] == [1, 2, 3]
+    assert [
+        rows[topic]["count"] for topic in ("/tf_static", "/stereo_ore/cloud", "/stereo_ore/record")
+    ] == [1, 2, 3]
     assert "durability" in rows["/tf_static"]["qos"]
 
 
 def test_stamps_are_those_of_the_frames(messages: dict[str, list[tuple[int, Any]]]) -> None:
-    assert [stamp for stamp, _ in messages["/stereo_ore/record"]] == [STAMP + n * PERIOD for n in range(3)]
+    assert [stamp for stamp, _ in messages["/stereo_ore/record"]] == [
+        STAMP + n * PERIOD for n in range(3)
+    ]
     stamp, cloud_message = messages["/stereo_ore/cloud"][1]
-    assert cloud_message.header.stamp.sec * 10**9 + cloud_message.header.stamp.nanosec == stamp == STAMP + PERIOD
+    assert (
+        cloud_message.header.stamp.sec * 10**9 + cloud_message.header.stamp.nanosec
+        == stamp
+        == STAMP + PERIOD
+    )
     assert cloud_message.header.frame_id == "left_rectified"
 
 
@@ -134,7 +164,10 @@ def test_cloud_point_by_point(messages: dict[str, list[tuple[int, Any]]]) -> Non
 def test_detections_are_the_solids(messages: dict[str, list[tuple[int, Any]]]) -> None:
     first, second = messages["/stereo_ore/ores"][0][1].detections
     assert (first.id, second.id) == ("1", "2")
-    assert [detection.results[0].hypothesis.class_id for detection in (first, second)] == ["oversize", "passes"]
+    assert [detection.results[0].hypothesis.class_id for detection in (first, second)] == [
+        "oversize",
+        "passes",
+    ]
     box = first.bbox
     assert (box.size.x, box.size.y, box.size.z) == (0.3, 0.2, 0.1)
     assert (box.center.position.x, box.center.position.z) == (0.1, 0.95)
@@ -143,7 +176,9 @@ def test_detections_are_the_solids(messages: dict[str, list[tuple[int, Any]]]) -
     np.testing.assert_allclose(np.diag(covariance), [1e-4, 4e-4, 9e-4, -1, -1, -1])
 
 
-def test_targets_are_in_the_arm_frame_best_first_and_point_along_x(messages: dict[str, list[tuple[int, Any]]]) -> None:
+def test_targets_are_in_the_arm_frame_best_first_and_point_along_x(
+    messages: dict[str, list[tuple[int, Any]]],
+) -> None:
     message = messages["/stereo_ore/targets"][0][1]
     assert message.header.frame_id == "arm"
     assert [round(pose.position.y, 9) for pose in message.poses] == [0.2, 0.1]
@@ -159,7 +194,9 @@ def test_transform_and_record(folder: Path, messages: dict[str, list[tuple[int, 
     np.testing.assert_allclose(rotate(transform.transform.rotation, [0, 0, 1]), T[:3, 2], atol=1e-6)
     assert transform.transform.translation.x == T[0, 3]
     lines = (folder / "frames.jsonl").read_text().splitlines()
-    assert [json.loads(message.data) for _, message in messages["/stereo_ore/record"]] == [json.loads(x) for x in lines]
+    assert [json.loads(message.data) for _, message in messages["/stereo_ore/record"]] == [
+        json.loads(x) for x in lines
+    ]
 
 
 def test_overlay_is_the_file(folder: Path, messages: dict[str, list[tuple[int, Any]]]) -> None:
@@ -171,17 +208,26 @@ def test_overlay_is_the_file(folder: Path, messages: dict[str, list[tuple[int, A
 def test_without_stamps_and_arm(tmp_path: Path) -> None:
     records = [record(n, [ore(1)], stamp_ns=None, arm_frame=None) for n in (4, 5)]
     for entry in records:
-        entry["ores"][0]["strike"]["point"]["arm"] = entry["ores"][0]["strike"]["direction"]["arm"] = None
+        entry["ores"][0]["strike"]["point"]["arm"] = entry["ores"][0]["strike"]["direction"][
+            "arm"
+        ] = None
     folder = make_run(tmp_path / "run", records)
     (folder / "site.yaml").unlink()
     path = write_mcap(Results(folder), tmp_path / "bag")
     with AnyReader([path]) as reader:
-        found = [(c.topic, stamp, reader.deserialize(data, c.msgtype)) for c, stamp, data in reader.messages()]
+        found = [
+            (c.topic, stamp, reader.deserialize(data, c.msgtype))
+            for c, stamp, data in reader.messages()
+        ]
     assert "/tf_static" not in {topic for topic, _, _ in found}
-    targets = [(stamp, message) for topic, stamp, message in found if topic == "/stereo_ore/targets"]
+    targets = [
+        (stamp, message) for topic, stamp, message in found if topic == "/stereo_ore/targets"
+    ]
     assert [stamp for stamp, _ in targets] == [4_000_000_000, 5_000_000_000]
     assert targets[0][1].header.frame_id == "left_rectified"
-    np.testing.assert_allclose(rotate(targets[0][1].poses[0].orientation, [1, 0, 0]), [0, 0, 1], atol=1e-9)
+    np.testing.assert_allclose(
+        rotate(targets[0][1].poses[0].orientation, [1, 0, 0]), [0, 0, 1], atol=1e-9
+    )
 
 
 def test_nothing_is_overwritten_and_nothing_half_done_stays(folder: Path, tmp_path: Path) -> None:
@@ -197,16 +243,22 @@ def test_nothing_is_overwritten_and_nothing_half_done_stays(folder: Path, tmp_pa
 
 def test_command_and_missing_extra(folder: Path, tmp_path: Path) -> None:
     done = subprocess.run(
-        ["stereo-ore", "export", folder, tmp_path / "bag"], capture_output=True, text=True, timeout=60
+        ["stereo-ore", "export", folder, tmp_path / "bag"],
+        capture_output=True,
+        text=True,
+        timeout=60,
     )
     assert (done.returncode, done.stdout.strip()) == (0, str(tmp_path / "bag" / "bag.mcap"))
     code = (
-        "import sys; sys.modules['rosbags'] = None\n"
-        f"from stereo_ore.cli import launch; launch(['export', {str(folder)!r}, {str(tmp_path / 'x')!r}])"
+        "import sys; sys.modules['rosbags'] = None\nfrom stereo_ore.cli import launch;"
+        f" launch(['export', {str(folder)!r}, {str(tmp_path / 'x')!r}])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert done.returncode == 1
-    assert done.stderr == 'error: the optional package rosbags is not installed. pip install "stereo-ore[bags]"\n'
+    assert (
+        done.stderr
+        == 'error: the optional package rosbags is not installed. pip install "stereo-ore[bags]"\n'
+    )
 
 
 def test_folder_without_a_run(tmp_path: Path) -> None:

@@ -8,7 +8,9 @@ from hypothesis.extra import numpy as arrays
 
 from stereo_ore.lab import metrics
 
-MASKS = st.integers(1, 40).flatmap(lambda n: st.tuples(arrays.arrays(bool, n), arrays.arrays(bool, n)))
+MASKS = st.integers(1, 40).flatmap(
+    lambda n: st.tuples(arrays.arrays(bool, n), arrays.arrays(bool, n))
+)
 
 
 @given(MASKS)
@@ -48,13 +50,17 @@ def test_noise_is_what_no_true_surface_lies_near() -> None:
 
 def test_disparity_quality_counts_missing_as_bad() -> None:
     disparity = np.array([[10.0, np.nan, 12.5, 10.2, 99.0]], np.float32)
-    quality = metrics.disparity_quality(disparity, np.full((1, 5), 10.0), np.array([[True, True, True, True, False]]))
+    quality = metrics.disparity_quality(
+        disparity, np.full((1, 5), 10.0), np.array([[True, True, True, True, False]])
+    )
     assert (quality.valid, quality.bad1) == (0.75, 0.5)
     assert quality.median_px == pytest.approx(0.2, abs=1e-5)
 
 
 def test_disparity_quality_of_nothing_is_nan() -> None:
-    quality = metrics.disparity_quality(np.zeros((2, 2), np.float32), np.zeros((2, 2)), np.zeros((2, 2), bool))
+    quality = metrics.disparity_quality(
+        np.zeros((2, 2), np.float32), np.zeros((2, 2)), np.zeros((2, 2), bool)
+    )
     assert np.isnan([quality.valid, quality.bad1, quality.median_px]).all()
 
 

@@ -1,4 +1,5 @@
-"""Targets over Modbus TCP, read by pymodbus's own client and, where it is installed, by Debian's mbpoll."""
+"""Targets over Modbus TCP, read by pymodbus's own client and, where it is installed, by Debian's
+mbpoll."""
 
 import math
 import shutil
@@ -23,7 +24,14 @@ from stereo_ore.errors import OutputError
 from stereo_ore.plant.sinks import modbus, supervisor
 from stereo_ore.plant.sinks.message import Origin, message, notice
 from stereo_ore.plant.sinks.modbus import ModbusSink
-from stereo_ore.plant.sinks.modbus_table import HEAD_WORDS, READABLE_WORDS, SLOT_WORDS, SLOTS, rows, words
+from stereo_ore.plant.sinks.modbus_table import (
+    HEAD_WORDS,
+    READABLE_WORDS,
+    SLOT_WORDS,
+    SLOTS,
+    rows,
+    words,
+)
 
 ILLEGAL_FUNCTION, ILLEGAL_ADDRESS = 1, 2
 MBPOLL = shutil.which("mbpoll")
@@ -54,7 +62,9 @@ def entries(registers: list[int]) -> dict[str, Any]:
     found = {}
     for address, kind, name, *_ in rows():
         if 2 * address + struct.calcsize(codes[kind]) <= len(data):
-            found[f"{name}_again" if name in found else name] = struct.unpack_from(codes[kind], data, 2 * address)[0]
+            found[f"{name}_again" if name in found else name] = struct.unpack_from(
+                codes[kind], data, 2 * address
+            )[0]
     return found
 
 
@@ -68,14 +78,31 @@ def read_all(master: ModbusTcpClient, size: int = 125) -> list[int]:
 
 def test_the_table_says_all_about_a_message(sink, master):
     record = make_record(7, ores=2, stamp_ns=5)
-    record["ores"][1] |= {"oversize": False, "volume_m3": None, "size_m": None, "centre_of_gravity": None}
+    record["ores"][1] |= {
+        "oversize": False,
+        "volume_m3": None,
+        "size_m": None,
+        "centre_of_gravity": None,
+    }
     sink.publish(message(record, 70_000, Origin("s", replay=True), age_s=0.0, valid_for_s=5.0))
     found = entries(read_all(master))
-    head = {"version": 1, "sequence": 70_000, "valid": 1, "count": 2, "status": 1, "frame_index": 7, "replay": 1}
+    head = {
+        "version": 1,
+        "sequence": 70_000,
+        "valid": 1,
+        "count": 2,
+        "status": 1,
+        "frame_index": 7,
+        "replay": 1,
+    }
     assert {name: found[name] for name in head} == head
     assert 4000 < found["remaining"] <= 5000
     assert found["sequence_again"] == 70_000
-    first = {name.partition(".")[2]: value for name, value in found.items() if name.startswith("target_1.")}
+    first = {
+        name.partition(".")[2]: value
+        for name, value in found.items()
+        if name.startswith("target_1.")
+    }
     assert (first["sequence_low"], first["id"], first["oversize"]) == (70_000 % 2**16, 1, 2)
     numbers = [value for value in first.values() if isinstance(value, float)]
     expected = [7, 1, 0.5, 0, 0, -1, 7, 0.3, 0.2, 0.02, 0.01, 0.01, 0.02, 0.9]
@@ -91,7 +118,8 @@ def test_input_registers_are_the_same(sink, master):
     sink.publish(make_message(3, status="degraded"))
     same = slice(2, None)
     holding, inputs = (
-        read(0, count=AT_ONCE).registers for read in (master.read_holding_registers, master.read_input_registers)
+        read(0, count=AT_ONCE).registers
+        for read in (master.read_holding_registers, master.read_input_registers)
     )
     assert holding[same] == inputs[same]
 
@@ -102,7 +130,12 @@ def test_before_the_first_message_and_after_the_last_there_is_no_target(sink, ma
             sink.publish(make_message(2))
             sink.publish(notice(3, Origin("s"), "stopped"))
         found = entries(read_all(master))
-        assert (found["status"], found["valid"], found["count"], found["remaining"]) == (number, 0, 0, 0)
+        assert (found["status"], found["valid"], found["count"], found["remaining"]) == (
+            number,
+            0,
+            0,
+            0,
+        )
         assert math.isnan(found["target_1.position_x"])
         assert found["frame_index"] == -1
 
@@ -124,7 +157,11 @@ def test_the_heartbeat_beats_and_rolls_over(sink, master, monkeypatch):
     sink._beats = 2**16 - 2
     beats = set()
     wait_for(
-        lambda: beats.add(entries(master.read_holding_registers(0, count=2).registers)["heartbeat"]) or 1 in beats, 5
+        lambda: (
+            beats.add(entries(master.read_holding_registers(0, count=2).registers)["heartbeat"])
+            or 1 in beats
+        ),
+        5,
     )
     assert {2**16 - 1, 0, 1} <= beats
 
@@ -134,10 +171,21 @@ def test_only_the_acknowledgement_can_be_written(sink, master):
     wait_for(lambda: "message 70000, ore 2" in sink.state().detail, what="acknowledgement")
     assert master.write_register(602, 5).isError() is False
     assert "ore 5" in sink.state().detail
-    for address, values in ((0, [9]), (4, [1]), (5, [60000]), (16, [1, 2]), (599, [1, 2]), (602, [1, 2]), (700, [1])):
+    for address, values in (
+        (0, [9]),
+        (4, [1]),
+        (5, [60000]),
+        (16, [1, 2]),
+        (599, [1, 2]),
+        (602, [1, 2]),
+        (700, [1]),
+    ):
         assert master.write_registers(address, values).exception_code == ILLEGAL_ADDRESS
         assert master.write_register(address, values[0]).isError() is (address != 602)
-    assert master.mask_write_register(address=4, and_mask=0, or_mask=1).exception_code == ILLEGAL_ADDRESS
+    assert (
+        master.mask_write_register(address=4, and_mask=0, or_mask=1).exception_code
+        == ILLEGAL_ADDRESS
+    )
     assert master.write_coil(600, True).exception_code == ILLEGAL_FUNCTION
     assert master.write_coils(600, [True] * 8).exception_code == ILLEGAL_FUNCTION
     assert master.read_coils(0, count=8).exception_code == ILLEGAL_FUNCTION
@@ -145,13 +193,21 @@ def test_only_the_acknowledgement_can_be_written(sink, master):
 
 
 def test_what_is_not_there_can_not_be_read(master):
-    for address, count in ((READABLE_WORDS, 1), (READABLE_WORDS - 1, 2), (599, 1), (603, 1), (65535, 1)):
+    for address, count in (
+        (READABLE_WORDS, 1),
+        (READABLE_WORDS - 1, 2),
+        (599, 1),
+        (603, 1),
+        (65535, 1),
+    ):
         assert master.read_holding_registers(address, count=count).exception_code == ILLEGAL_ADDRESS
 
 
 def test_written_and_read_in_one_request(sink, master):
     sink.publish(make_message(9))
-    done = master.readwrite_registers(read_address=0, read_count=AT_ONCE, write_address=600, values=[0, 9, 1])
+    done = master.readwrite_registers(
+        read_address=0, read_count=AT_ONCE, write_address=600, values=[0, 9, 1]
+    )
     assert entries(done.registers)["sequence"] == 9
     assert "message 9, ore 1" in sink.state().detail
 
@@ -187,7 +243,9 @@ def check_set(found: dict[str, Any]) -> bool:
     slots = range(1, SLOTS + 1)
     lows = {found[f"target_{slot}.sequence_low"] for slot in slots}
     whole = found["sequence"] == found["sequence_again"] and lows == {found["sequence"] % 2**16}
-    assert not whole or {found[f"target_{slot}.position_x"] for slot in slots} == {found["sequence"]}
+    assert not whole or {found[f"target_{slot}.position_x"] for slot in slots} == {
+        found["sequence"]
+    }
     return whole
 
 
@@ -226,7 +284,10 @@ def test_a_master_that_asks_nothing_gives_its_place_to_one_that_waits(sink, monk
     monkeypatch.setattr(modbus, "MAX_CONSUMERS", 2)
     monkeypatch.setattr(modbus, "IDLE_S", 1.0)
     address = "127.0.0.1", port_of(sink)
-    with socket.create_connection(address, timeout=5) as idle, ModbusTcpClient(*address[:1], port=address[1]) as busy:
+    with (
+        socket.create_connection(address, timeout=5) as idle,
+        ModbusTcpClient(*address[:1], port=address[1]) as busy,
+    ):
         wait_for(lambda: sink.state().consumers == 2)
         with socket.create_connection(address, timeout=5) as early:
             assert refused(early)
@@ -262,7 +323,9 @@ def test_numbers_at_their_limits_have_a_place():
     record["targets"] = [70_000, *range(1, 20)]
     record["ores"][-1]["strike"]["score"] = 1e300
     record["ores"][-1]["volume_m3"] = -1e39
-    made = message(record | {"index": 2**40}, 2**32 + 5, Origin("no hex"), age_s=0.0, valid_for_s=1e6)
+    made = message(
+        record | {"index": 2**40}, 2**32 + 5, Origin("no hex"), age_s=0.0, valid_for_s=1e6
+    )
     found = entries(words(made, 2**20))
     assert (found["sequence"], found["count"], found["frame_index"], found["remaining"]) == (
         5,
@@ -290,13 +353,17 @@ def mbpoll(sink: ModbusSink, *words: str) -> str:
     return done.stdout
 
 
-@pytest.mark.skipif(MBPOLL is None, reason="mbpoll is not installed (Debian: apt-get install mbpoll)")
+@pytest.mark.skipif(
+    MBPOLL is None, reason="mbpoll is not installed (Debian: apt-get install mbpoll)"
+)
 def test_mbpoll_reads_targets_and_acknowledges(sink):
     """mbpoll counts registers from 1, and takes the high word first with -B."""
     sink.publish(make_message(5))
     values = [
         line.split("\t")[1].strip()
-        for line in mbpoll(sink, "-1", "-t", "4:float", "-B", "-r", "21", "-c", "6", "127.0.0.1").splitlines()
+        for line in mbpoll(
+            sink, "-1", "-t", "4:float", "-B", "-r", "21", "-c", "6", "127.0.0.1"
+        ).splitlines()
         if line.startswith("[")
     ]
     assert [float(value) for value in values] == [5.0, 1.0, 0.5, 0.0, 0.0, -1.0]

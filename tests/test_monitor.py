@@ -1,4 +1,5 @@
-"""Health, metrics and the log of a live run, as a watchdog, Prometheus and a log collector read them."""
+"""Health, metrics and the log of a live run, as a watchdog, Prometheus and a log collector read
+them."""
 
 import json
 import logging
@@ -75,7 +76,9 @@ def samples(text: str) -> dict[str, float]:
 
 
 def test_metrics_count_what_happened(status: Status, sink: Sink, tmp_path: Path):
-    for index, (verdict, latency_s) in enumerate((("ok", 0.3), ("ok", 0.25), ("failed", 100.0), ("ok", -5.0))):
+    for index, (verdict, latency_s) in enumerate(
+        (("ok", 0.3), ("ok", 0.25), ("failed", 100.0), ("ok", -5.0))
+    ):
         status.add(make_record(index, status=verdict), latency_s)
     sink.more = {"restarts": 2, "alarm": "x", "address": 'a"b\\c\nd'}
     found = samples(metrics(status, tmp_path))
@@ -83,31 +86,46 @@ def test_metrics_count_what_happened(status: Status, sink: Sink, tmp_path: Path)
     assert found['stereo_ore_frames_total{status="failed"}'] == 1
     assert found['stereo_ore_reasons_total{code="FEW_DISPARITIES"}'] == 1
     assert found["stereo_ore_targets_total{}"] == 6
-    buckets = [found[f'stereo_ore_latency_seconds_bucket{{le="{bound}"}}'] for bound in (*LATENCY_S, "+Inf")]
+    buckets = [
+        found[f'stereo_ore_latency_seconds_bucket{{le="{bound}"}}']
+        for bound in (*LATENCY_S, "+Inf")
+    ]
     assert buckets == [1, 2, 3, 3, 3, 3, 3, 3, 4]
     assert found["stereo_ore_latency_seconds_count{}"] == 4
     assert found["stereo_ore_latency_seconds_sum{}"] == pytest.approx(100.55)
     assert 0 <= found["stereo_ore_frame_age_seconds{}"] < 5
     labels = r'{sink="list",address="a\"b\\c\nd"}'
-    assert (found[f"stereo_ore_sink_restarts_total{labels}"], found[f"stereo_ore_sink_alarm{labels}"]) == (2, 1)
+    assert (
+        found[f"stereo_ore_sink_restarts_total{labels}"],
+        found[f"stereo_ore_sink_alarm{labels}"],
+    ) == (2, 1)
     assert found["stereo_ore_disk_free_bytes{}"] > 0
 
 
 def test_metrics_before_the_first_frame_are_of_the_format_too(status: Status, tmp_path: Path):
     found = samples(metrics(status, tmp_path))
-    assert not any(name.startswith(("stereo_ore_frame_age", "stereo_ore_target_age")) for name in found)
+    assert not any(
+        name.startswith(("stereo_ore_frame_age", "stereo_ore_target_age")) for name in found
+    )
     assert found["stereo_ore_targets_valid{}"] == 0
 
 
 def test_prometheus_own_parser_reads_them(status: Status, tmp_path: Path):
-    parser = pytest.importorskip("prometheus_client.parser", reason="prometheus_client is not installed")
+    parser = pytest.importorskip(
+        "prometheus_client.parser", reason="prometheus_client is not installed"
+    )
     status.add(make_record(0), 0.2)
-    families = {family.name: family for family in parser.text_string_to_metric_families(metrics(status, tmp_path))}
+    families = {
+        family.name: family
+        for family in parser.text_string_to_metric_families(metrics(status, tmp_path))
+    }
     assert families["stereo_ore_latency_seconds"].type == "histogram"
     assert families["stereo_ore_frames"].samples[0].value == 1
 
 
-def test_health_tells_what_needs_somebody(status: Status, sink: Sink, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_health_tells_what_needs_somebody(
+    status: Status, sink: Sink, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     assert health(status, tmp_path)["status"] == "warning"
     status.add(make_record(0))
     status.publisher.publish(make_record(0), 0.0)
@@ -130,12 +148,19 @@ def test_health_tells_what_needs_somebody(status: Status, sink: Sink, tmp_path: 
 
 
 def test_a_line_of_json_holds_whatever_a_message_holds():
-    record = logging.makeLogRecord({"name": "a", "levelname": "INFO", "msg": "x\n%s", "args": ("é\udce9",)})
+    record = logging.makeLogRecord(
+        {"name": "a", "levelname": "INFO", "msg": "x\n%s", "args": ("é\udce9",)}
+    )
     record.frame, record.path = "1", Path("/x")
     line = JsonLines().format(record)
     assert "\n" not in line
     read = json.loads(line)
-    assert (read["message"], read["frame"], read["path"], read["level"]) == ("x\né\udce9", "1", "/x", "info")
+    assert (read["message"], read["frame"], read["path"], read["level"]) == (
+        "x\né\udce9",
+        "1",
+        "/x",
+        "info",
+    )
     assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z", read["time"])
     try:
         1 / 0  # noqa: B018
@@ -150,13 +175,20 @@ def test_each_frame_is_a_line_of_the_log(tmp_path: Path, caplog: pytest.LogCaptu
     inbox = tmp_path / "in"
     inbox.mkdir()
     sink = ListSink()
-    with caplog.at_level(logging.INFO, "stereo_ore"), running(watch(inbox), tmp_path / "out", [sink]):
+    with (
+        caplog.at_level(logging.INFO, "stereo_ore"),
+        running(watch(inbox), tmp_path / "out", [sink]),
+    ):
         put_pair(inbox, 0)
         (inbox / "left000001.png").write_bytes(b"nothing")
         (inbox / "right000001.png").write_bytes(b"nothing")
         put_pair(inbox, 2)
         wait_for(lambda: len(sink.messages) >= 3, 30)
-    lines = [json.loads(JsonLines().format(r)) for r in caplog.records if r.name == "stereo_ore.plant.loop"]
+    lines = [
+        json.loads(JsonLines().format(r))
+        for r in caplog.records
+        if r.name == "stereo_ore.plant.loop"
+    ]
     assert [line["frame"] for line in lines] == ["000000", "000001", "000002"]
     assert [line["status"] for line in lines] == ["ok", "failed", "ok"]
     assert [line["targets"] for line in lines] == [2, 0, 2]
@@ -171,7 +203,9 @@ def test_the_command_writes_its_messages_as_json(tmp_path: Path):
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
     assert [json.loads(line)["level"] for line in done.stderr.splitlines()] == []
-    code = "import logging; logging.getLogger('stereo_ore.x').warning('a %s', 1, extra={'frame': 'f'})"
+    code = (
+        "import logging; logging.getLogger('stereo_ore.x').warning('a %s', 1, extra={'frame': 'f'})"
+    )
     code = f"from stereo_ore import cli; cli.main(log_format=cli.LogFormat.JSON); {code}"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     line = json.loads(done.stderr)

@@ -1,4 +1,5 @@
-"""MQTT against a real mosquitto; skipped where it is not installed (Debian: apt-get install mosquitto)."""
+"""MQTT against a real mosquitto; skipped where it is not installed (Debian: apt-get install
+mosquitto)."""
 
 import ipaddress
 import json
@@ -46,7 +47,9 @@ class Broker:
 
     def start(self) -> None:
         command = [str(MOSQUITTO), "-c", str(self.config)]
-        self.process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        self.process = subprocess.Popen(
+            command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
         wait_for(self.listens, what="broker")
 
     def listens(self) -> bool:
@@ -160,10 +163,17 @@ def test_the_broker_withdraws_the_targets_of_a_program_that_vanished(broker):
     targets, gone = subscriber.messages
     assert gone["status"] == "offline"
     assert not gone["valid"]
-    # Of the session that it ends, and with no time or number that could be older than what it withdraws.
-    assert (gone["session"], gone["replay"], gone["transform_id"]) == (targets["session"], True, "abc")
+    # Of the session that it ends, and with no time or number that could be older than what it
+    # withdraws.
+    assert (gone["session"], gone["replay"], gone["transform_id"]) == (
+        targets["session"],
+        True,
+        "abc",
+    )
     assert (gone["sequence"], gone["published_ns"], gone["valid_until_ns"]) == (None, None, None)
-    jsonschema.validate(gone, json.loads((files("stereo_ore") / "schema" / "targets-1.json").read_text()))
+    jsonschema.validate(
+        gone, json.loads((files("stereo_ore") / "schema" / "targets-1.json").read_text())
+    )
     late = Subscriber(broker.port)
     wait_for(lambda: late.messages)
     assert late.messages == [gone]
@@ -190,7 +200,10 @@ def test_a_connection_that_comes_back_replaces_offline_without_a_new_frame(broke
         wait_for(lambda: sink.state().sent == 1)
         subscriber = Subscriber(broker.port)
         sink._client._sock.shutdown(socket.SHUT_RDWR)
-        wait_for(lambda: "offline" in [message["status"] for message in subscriber.messages], what="last will")
+        wait_for(
+            lambda: "offline" in [message["status"] for message in subscriber.messages],
+            what="last will",
+        )
         wait_for(lambda: subscriber.messages[-1]["sequence"] == 7, what="message")
         assert subscriber.messages[-1]["valid"]
         subscriber.close()
@@ -207,12 +220,18 @@ def test_a_birth_is_announced_before_the_first_frame(broker, monkeypatch):
         client.connect("127.0.0.1", broker.port)
         client.loop_start()
         wait_for(lambda: seen)
-        assert (seen[0]["status"], seen[0]["session"], seen[0]["replay"]) == ("starting", "test", True)
+        assert (seen[0]["status"], seen[0]["session"], seen[0]["replay"]) == (
+            "starting",
+            "test",
+            True,
+        )
         client.disconnect()
         client.loop_stop()
 
 
-@pytest.mark.parametrize("settings", ["retain_available false\n", "max_qos 0\n", "retain_available false\nmax_qos 0\n"])
+@pytest.mark.parametrize(
+    "settings", ["retain_available false\n", "max_qos 0\n", "retain_available false\nmax_qos 0\n"]
+)
 @pytest.mark.parametrize("qos", [0, 1])
 def test_a_broker_that_can_do_less_is_served(tmp_path, settings, qos, monkeypatch):
     monkeypatch.setattr(mqtt, "RECONNECT_S", (1, 1))
@@ -237,14 +256,19 @@ def test_a_broker_that_can_do_less_is_served(tmp_path, settings, qos, monkeypatc
 
 
 def test_a_broker_of_small_packets_gets_the_best_targets_that_fit(tmp_path):
-    with broker_with(tmp_path, "max_packet_size 1500\n") as broker, MqttSink("127.0.0.1", broker.port, TOPIC) as sink:
+    with (
+        broker_with(tmp_path, "max_packet_size 1500\n") as broker,
+        MqttSink("127.0.0.1", broker.port, TOPIC) as sink,
+    ):
         wait_for(lambda: sink.state().connected)
         subscriber = Subscriber(broker.port)
         sink.publish(make_message(1, ores=16))
         sink.publish(make_message(2, ores=1))
         wait_for(lambda: len(subscriber.messages) == 2)
         cut, whole = subscriber.messages
-        assert [target["id"] for target in cut["targets"]] == list(range(1, len(cut["targets"]) + 1))
+        assert [target["id"] for target in cut["targets"]] == list(
+            range(1, len(cut["targets"]) + 1)
+        )
         assert 1 < len(cut["targets"]) < 16
         assert (cut["reasons"], whole["reasons"]) == (["TARGETS_LEFT_OUT"], [])
         assert sink.state().connected
@@ -254,7 +278,9 @@ def test_a_broker_of_small_packets_gets_the_best_targets_that_fit(tmp_path):
         subscriber.close()
 
 
-def test_a_broker_that_is_stopped_and_started_costs_no_record_and_publishing_resumes(broker, tmp_path, monkeypatch):
+def test_a_broker_that_is_stopped_and_started_costs_no_record_and_publishing_resumes(
+    broker, tmp_path, monkeypatch
+):
     from test_serve_watch import put_pair, watch
 
     monkeypatch.setattr(mqtt, "RECONNECT_S", (1, 1))
@@ -269,7 +295,9 @@ def test_a_broker_that_is_stopped_and_started_costs_no_record_and_publishing_res
             count += 1
         wait_for(lambda: len(names_in(out / "frames.jsonl.part")) == count, what="records")
 
-    with running(watch(inbox), out, [sink := MqttSink("127.0.0.1", broker.port, TOPIC)], valid_for_s=0.5):
+    with running(
+        watch(inbox), out, [sink := MqttSink("127.0.0.1", broker.port, TOPIC)], valid_for_s=0.5
+    ):
         subscriber = Subscriber(broker.port)
         frames(20)
         wait_for(lambda: subscriber.messages and subscriber.messages[-1]["index"] == 19)
@@ -278,15 +306,21 @@ def test_a_broker_that_is_stopped_and_started_costs_no_record_and_publishing_res
         frames(200)
         time.sleep(0.6)
         broker.start()
-        wait_for(lambda: sink.state().connected and subscriber.subscriptions == 2, what="connection")
+        wait_for(
+            lambda: sink.state().connected and subscriber.subscriptions == 2, what="connection"
+        )
         at_outage = len(subscriber.messages)
         frames(20)
         wait_for(lambda: subscriber.messages[-1]["index"] == 239, what="message after the outage")
     subscriber.close()
     assert names_in(out / "frames.jsonl") == [f"{index:06d}" for index in range(240)]
     assert sink.state().dropped > 0, "the queue is bounded"
-    stale = [m for m in subscriber.messages[at_outage:] if m["index"] is not None and m["index"] < 220]
-    assert not any(message["valid"] for message in stale), "what waited too long goes without its targets"
+    stale = [
+        m for m in subscriber.messages[at_outage:] if m["index"] is not None and m["index"] < 220
+    ]
+    assert not any(message["valid"] for message in stale), (
+        "what waited too long goes without its targets"
+    )
     numbers = [message["sequence"] for message in subscriber.messages if message["sequence"]]
     assert numbers == sorted(set(numbers))
 
@@ -312,13 +346,23 @@ def make_authority(folder: Path) -> tuple[Path, Path]:
     key = ec.generate_private_key(ec.SECP256R1())
     name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "broker")])
     now = datetime.now(UTC)
-    builder = x509.CertificateBuilder().subject_name(name).issuer_name(name).public_key(key.public_key())
+    builder = (
+        x509.CertificateBuilder().subject_name(name).issuer_name(name).public_key(key.public_key())
+    )
     builder = builder.serial_number(1).not_valid_before(now - DAY).not_valid_after(now + DAY)
     address = x509.SubjectAlternativeName([x509.IPAddress(ipaddress.ip_address("127.0.0.1"))])
-    builder = builder.add_extension(address, False).add_extension(x509.BasicConstraints(True, None), True)
+    builder = builder.add_extension(address, False).add_extension(
+        x509.BasicConstraints(True, None), True
+    )
     certificate, secret = folder / "broker.pem", folder / "broker.key"
-    certificate.write_bytes(builder.sign(key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM))
-    form = serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+    certificate.write_bytes(
+        builder.sign(key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM)
+    )
+    form = (
+        serialization.Encoding.PEM,
+        serialization.PrivateFormat.PKCS8,
+        serialization.NoEncryption(),
+    )
     secret.write_bytes(key.private_bytes(*form))
     secret.chmod(0o644)
     return certificate, secret
@@ -329,18 +373,30 @@ def test_a_broker_with_tls_and_users(tmp_path):
         pytest.skip("mosquitto_passwd is not installed")
     certificate, key = make_authority(tmp_path)
     passwords = tmp_path / "passwords"
-    subprocess.run(["mosquitto_passwd", "-b", "-c", passwords, "arm", "secret"], check=True, capture_output=True)
+    subprocess.run(
+        ["mosquitto_passwd", "-b", "-c", passwords, "arm", "secret"],
+        check=True,
+        capture_output=True,
+    )
     passwords.chmod(0o644)
     tmp_path.chmod(0o755)
     broker = Broker(tmp_path)
-    secured = f"user root\nallow_anonymous false\npassword_file {passwords}\ncertfile {certificate}\nkeyfile {key}\n"
+    secured = (
+        f"user root\nallow_anonymous false\npassword_file {passwords}\ncertfile"
+        f" {certificate}\nkeyfile {key}\n"
+    )
     broker.config.write_text(f"listener {broker.port} 127.0.0.1\n{secured}")
     broker.start()
     try:
         for password, connected in (("secret", True), ("wrong", False)):
-            with MqttSink("127.0.0.1", broker.port, TOPIC, MqttLogin("arm", password, certificate)) as sink:
+            with MqttSink(
+                "127.0.0.1", broker.port, TOPIC, MqttLogin("arm", password, certificate)
+            ) as sink:
                 sink.publish(make_message(1))
-                wait_for(lambda sink=sink: sink.state().sent or "Not authorized" in sink.state().detail, what="answer")
+                wait_for(
+                    lambda sink=sink: sink.state().sent or "Not authorized" in sink.state().detail,
+                    what="answer",
+                )
                 assert sink.state().connected == connected
     finally:
         broker.stop()

@@ -43,7 +43,8 @@ def node_id(folder: str, name: str, namespace: int) -> str:
 
 
 class Assembler:
-    """Puts the values of one message together by their source timestamp, as a client of a subscription has to."""
+    """Puts the values of one message together by their source timestamp, as a client of a
+    subscription has to."""
 
     def __init__(self, names: dict[Any, str]) -> None:
         self.names = names
@@ -69,7 +70,8 @@ class Assembler:
 
 
 def client(url: str, count: int, timeout_s: float) -> None:
-    """Subscribe to everything, acknowledge as an arm does, and print what came when message `count` or the time has."""
+    """Subscribe to everything, acknowledge as an arm does, and print what came when message `count`
+    or the time has."""
     with Client(url, timeout=60, watchdog_intervall=60) as connection:
         namespace = connection.get_namespace_index(NAMESPACE)
         nodes = {v.name: connection.get_node(node_id(v.folder, v.name, namespace)) for v in PAYLOAD}
@@ -78,13 +80,17 @@ def client(url: str, count: int, timeout_s: float) -> None:
         subscription.subscribe_data_change(list(nodes.values()), queuesize=QUEUE)
         sys.stdout.write("ready\n")
         sys.stdout.flush()
-        acknowledgement = connection.get_node(node_id("Acknowledgement", "AcknowledgedSequence", namespace))
+        acknowledgement = connection.get_node(
+            node_id("Acknowledgement", "AcknowledgedSequence", namespace)
+        )
         end = time.monotonic() + timeout_s
         while assembler.latest < count and time.monotonic() < end:
             time.sleep(0.1)
             acknowledgement.write_value(assembler.latest, ua.VariantType.UInt32)
         for message in assembler.whole():
-            values = {name: value for name, value in message.items() if not isinstance(value, datetime)}
+            values = {
+                name: value for name, value in message.items() if not isinstance(value, datetime)
+            }
             sys.stdout.write(json.dumps(values) + "\n")
 
 
@@ -103,7 +109,11 @@ def connection(sink: OpcUaSink) -> Iterator[Client]:
 def read(connection: Client, folder: str, name: str) -> Any:
     namespace = connection.get_namespace_index(NAMESPACE)
     # Uncertain, which what belongs to no valid target is, would raise otherwise.
-    return connection.get_node(node_id(folder, name, namespace)).read_data_value(raise_on_bad_status=False).Value.Value
+    return (
+        connection.get_node(node_id(folder, name, namespace))
+        .read_data_value(raise_on_bad_status=False)
+        .Value.Value
+    )
 
 
 def publish(sink: OpcUaSink, message: Any) -> float:
@@ -119,14 +129,21 @@ def publish(sink: OpcUaSink, message: Any) -> float:
 def test_the_model_says_all_about_a_message(sink, connection):
     publish(sink, make_message(3))
     values = {v.name: read(connection, v.folder, v.name) for v in PAYLOAD}
-    assert (values["Sequence"], values["Frame"], values["FrameIndex"], values["Status"]) == (3, "000003", 3, "ok")
+    assert (values["Sequence"], values["Frame"], values["FrameIndex"], values["Status"]) == (
+        3,
+        "000003",
+        3,
+        "ok",
+    )
     assert (values["Valid"], values["Count"], values["Id"][:3]) == (True, 2, [1, 2, 0])
     assert values["Position"][:6] == [3.0, 1.0, 0.5, 3.0, 2.0, 0.5]
     assert values["Direction"][:3] == [0.0, 0.0, -1.0]
     assert values["Size"][:3] == [3.0, 0.3, 0.2]
     assert (values["Oversize"][:3], values["Score"][0]) == ([1, 1, -1], 0.9)
     assert values["SequenceNumber"] == [3] * SLOTS
-    assert (values["ValidUntil"] - values["Published"]).total_seconds() == pytest.approx(60, abs=0.1)
+    assert (values["ValidUntil"] - values["Published"]).total_seconds() == pytest.approx(
+        60, abs=0.1
+    )
     assert json.loads(values["Json"])["targets"][1]["id"] == 2
     assert (values["Replay"], values["Session"]) == (False, "test")
     # A slot that is not in use is no place to strike.
@@ -162,7 +179,9 @@ def test_more_targets_than_slots_keep_the_best(sink, connection):
 def test_the_arm_acknowledges_and_can_write_nothing_else(sink, connection):
     namespace = connection.get_namespace_index(NAMESPACE)
     for name, value in (("AcknowledgedSequence", 6), ("AcknowledgedTarget", 2)):
-        connection.get_node(node_id("Acknowledgement", name, namespace)).write_value(value, ua.VariantType.UInt32)
+        connection.get_node(node_id("Acknowledgement", name, namespace)).write_value(
+            value, ua.VariantType.UInt32
+        )
     wait_for(lambda: "message 6, ore 2" in sink.state().detail, what="acknowledgement")
     for variable in PAYLOAD:
         node = connection.get_node(node_id(variable.folder, variable.name, namespace))
@@ -198,14 +217,19 @@ def acknowledged(sink: OpcUaSink) -> int:
 
 
 def check_stream(sink: OpcUaSink, count: int) -> list[float]:
-    """Publish `count` messages to a client in another process; it must see each, whole and in order."""
+    """Publish `count` messages to a client in another process; it must see each, whole and in
+    order."""
     timeout_s = 30 + count / 20
     with start_client(sink.url, count, timeout_s) as process:
         times = []
         for sequence in range(1, count + 1):
             times.append(publish(sink, make_message(sequence, ores=1 + sequence % 5)))
             if sequence % WINDOW == 0:
-                wait_for(lambda sequence=sequence: acknowledged(sink) > sequence - WINDOW, timeout_s, "acknowledgement")
+                wait_for(
+                    lambda sequence=sequence: acknowledged(sink) > sequence - WINDOW,
+                    timeout_s,
+                    "acknowledgement",
+                )
         output, _ = process.communicate(timeout=timeout_s)
     seen = [json.loads(line) for line in output.splitlines()]
     seen = [message for message in seen if message["Session"] == "test"]
@@ -215,7 +239,11 @@ def check_stream(sink: OpcUaSink, count: int) -> list[float]:
     for message in stream:
         sequence, ores = message["Sequence"], 1 + message["Sequence"] % 5
         assert message["SequenceNumber"] == [sequence] * SLOTS
-        assert (message["Frame"], message["FrameIndex"], message["Count"]) == (f"{sequence:06d}", sequence, ores)
+        assert (message["Frame"], message["FrameIndex"], message["Count"]) == (
+            f"{sequence:06d}",
+            sequence,
+            ores,
+        )
         assert message["Position"][: 3 * ores : 3] == [float(sequence)] * ores
         assert all(math.isnan(value) for value in message["Position"][3 * ores :])
         assert message["Size"][: 3 * ores : 3] == [float(sequence)] * ores
@@ -248,7 +276,8 @@ def test_10_000_updates_in_order_none_torn_median_below_5_ms(sink):
 
 
 def test_reading_one_by_one_finds_a_torn_record_out(sink):
-    """Sequence first, then the payload, then SequenceNumber: equal only when the payload is whole."""
+    """Sequence first, then the payload, then SequenceNumber: equal only when the payload is
+    whole."""
     command = [sys.executable, __file__, "--one-by-one", sink.url]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
         assert process.stdout.readline() == b"ready\n"
@@ -256,7 +285,8 @@ def test_reading_one_by_one_finds_a_torn_record_out(sink):
         while process.poll() is None and sequence < 5000:
             sequence += 1
             publish(sink, make_message(sequence))
-            # Bursts, in which a record is torn under the reader's hands, and pauses, in which it is whole.
+            # Bursts, in which a record is torn under the reader's hands, and pauses, in which it is
+            # whole.
             time.sleep(0.3 if sequence % 100 == 0 else 0)
         whole, torn_and_found, torn = map(int, process.stdout.read().split())
     assert torn == 0
@@ -297,7 +327,8 @@ def test_a_killed_server_is_noticed_by_the_client_within_the_stated_time(tmp_pat
         with Client(f"opc.tcp://127.0.0.1:{port}/stereo-ore", timeout=2) as connection:
             put_pair(inbox, 0)
             wait_for(lambda: read(connection, "Targets", "Valid"), what="target")
-            # The source stops: targets become invalid by themselves within the two seconds that the server was given.
+            # The source stops: targets become invalid by themselves within the two seconds that the
+            # server was given.
             start = time.monotonic()
             wait_for(lambda: not read(connection, "Targets", "Valid"), 4, what="expiry")
             assert time.monotonic() - start < 3
@@ -321,7 +352,8 @@ def test_a_server_that_fails_is_started_again(sink, connection, monkeypatch):
         broken.setattr(opcua, "PAYLOAD", (*PAYLOAD[:3], replace(PAYLOAD[3], value=lambda _: 1 / 0)))
         sink.publish(make_message(1))
         wait_for(lambda: "failed" in sink.state().alarm, what="failure")
-        # The client's connection has ended, so that it can't take the half-written message for a whole one.
+        # The client's connection has ended, so that it can't take the half-written message for a
+        # whole one.
         with pytest.raises((ConnectionError, TimeoutError, ua.UaError, OSError)):
             read(connection, "Targets", "Valid")
     publish(sink, make_message(2))
@@ -331,7 +363,10 @@ def test_a_server_that_fails_is_started_again(sink, connection, monkeypatch):
 
 def test_a_port_in_use_is_an_error(sink):
     port = int(sink.url.split(":")[2].split("/")[0])
-    with pytest.raises(OutputError, match=r"can't serve opc\.tcp.*another program"), OpcUaSink("127.0.0.1", port):
+    with (
+        pytest.raises(OutputError, match=r"can't serve opc\.tcp.*another program"),
+        OpcUaSink("127.0.0.1", port),
+    ):
         pass
 
 
@@ -344,11 +379,17 @@ def make_certificate(folder: Path, name: str) -> tuple[Path, Path]:
     key, certificate = folder / f"{name}.key.pem", folder / f"{name}.der"
     uses = [ExtendedKeyUsageOID.CLIENT_AUTH, ExtendedKeyUsageOID.SERVER_AUTH]
     subject = {"commonName": name}
-    asyncio.run(setup_self_signed_certificate(key, certificate, f"urn:test:{name}", "localhost", uses, subject))
+    asyncio.run(
+        setup_self_signed_certificate(
+            key, certificate, f"urn:test:{name}", "localhost", uses, subject
+        )
+    )
     return certificate, key
 
 
-def secured_client(url: str, certificate: Path, key: Path, user: str | None, password: str) -> Client:
+def secured_client(
+    url: str, certificate: Path, key: Path, user: str | None, password: str
+) -> Client:
     connection = Client(url)
     connection.application_uri = "urn:test:arm"
     from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
@@ -366,14 +407,19 @@ def test_beyond_this_machine_only_known_certificates_and_users_get_in(tmp_path):
     stranger, stranger_key = make_certificate(tmp_path, "stranger")
     (tmp_path / "trusted").mkdir()
     (tmp_path / "trusted" / "arm.der").write_bytes(certificate.read_bytes())
-    security = OpcUaSecurity(server_certificate, server_key, tmp_path / "trusted", {"arm": "correct horse"})
+    security = OpcUaSecurity(
+        server_certificate, server_key, tmp_path / "trusted", {"arm": "correct horse"}
+    )
     assert "horse" not in repr(security)
     with OpcUaSink("127.0.0.1", free_port(), security) as sink:
         publish(sink, make_message(1))
         with secured_client(sink.url, certificate, key, "arm", "correct horse") as connection:
             assert read(connection, "Result", "Sequence") == 1
         for user, password in (("arm", "wrong"), ("admin", "correct horse"), (None, "")):
-            with pytest.raises(ua.UaError), secured_client(sink.url, certificate, key, user, password):
+            with (
+                pytest.raises(ua.UaError),
+                secured_client(sink.url, certificate, key, user, password),
+            ):
                 pass
         refused = secured_client(sink.url, stranger, stranger_key, "arm", "correct horse")
         refused.application_uri = "urn:test:stranger"
@@ -386,7 +432,10 @@ def test_beyond_this_machine_only_known_certificates_and_users_get_in(tmp_path):
 def test_a_certificate_that_is_none_is_an_error(tmp_path):
     (tmp_path / "x").write_text("nothing")
     security = OpcUaSecurity(tmp_path / "x", tmp_path / "x", None, {"arm": "secret"})
-    with pytest.raises(OutputError, match="Are certificate and key"), OpcUaSink("127.0.0.1", free_port(), security):
+    with (
+        pytest.raises(OutputError, match="Are certificate and key"),
+        OpcUaSink("127.0.0.1", free_port(), security),
+    ):
         pass
 
 

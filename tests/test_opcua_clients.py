@@ -1,4 +1,5 @@
-"""What clients write, and what other programs make of the model: asyncua's low-level calls, and node-opcua."""
+"""What clients write, and what other programs make of the model: asyncua's low-level calls, and
+node-opcua."""
 
 import json
 import math
@@ -82,7 +83,9 @@ def show(sink: OpcUaSink, sequence: int, **record: Any) -> None:
 
 
 def uint32(value: Any, status: int = CODES.Good, **times: Any) -> ua.DataValue:
-    return ua.DataValue(ua.Variant(value, ua.VariantType.UInt32), StatusCode=ua.StatusCode(status), **times)
+    return ua.DataValue(
+        ua.Variant(value, ua.VariantType.UInt32), StatusCode=ua.StatusCode(status), **times
+    )
 
 
 def beats(arm: Arm, times: int = 2) -> None:
@@ -94,7 +97,10 @@ FAR = datetime(9999, 12, 31, tzinfo=UTC)
 WRITES = {
     "uncertain": (uint32(1, CODES.UncertainLastUsableValue), CODES.Good),
     "bad": (uint32(1, CODES.BadSensorFailure), CODES.Good),
-    "bad and empty": (ua.DataValue(ua.Variant(), StatusCode=ua.StatusCode(CODES.BadNoData)), CODES.Good),
+    "bad and empty": (
+        ua.DataValue(ua.Variant(), StatusCode=ua.StatusCode(CODES.BadNoData)),
+        CODES.Good,
+    ),
     "long ago": (uint32(1, SourceTimestamp=datetime(1602, 1, 1, tzinfo=UTC)), CODES.Good),
     "far ahead": (uint32(1, SourceTimestamp=FAR, ServerTimestamp=FAR), CODES.Good),
     "list": (uint32([1, 2]), CODES.BadTypeMismatch),
@@ -108,7 +114,9 @@ WRITES = {
 
 
 @pytest.mark.parametrize("write", WRITES)
-def test_after_any_write_the_server_lives_and_only_a_good_whole_number_counts(sink: OpcUaSink, arm: Arm, write: str):
+def test_after_any_write_the_server_lives_and_only_a_good_whole_number_counts(
+    sink: OpcUaSink, arm: Arm, write: str
+):
     value, answer = WRITES[write]
     assert arm.write("AcknowledgedSequence", uint32(7)) == CODES.Good
     wait_for(lambda: "message 7" in sink.state().detail, what="acknowledgement")
@@ -124,7 +132,9 @@ def test_after_any_write_the_server_lives_and_only_a_good_whole_number_counts(si
 
 def test_a_part_of_a_value_is_not_written(sink: OpcUaSink, arm: Arm):
     assert arm.write("AcknowledgedSequence", uint32(3), "0") == CODES.BadWriteNotSupported
-    assert arm.write("Position", ua.DataValue(ua.Variant([0.0])), "3:5") == CODES.BadUserAccessDenied
+    assert (
+        arm.write("Position", ua.DataValue(ua.Variant([0.0])), "3:5") == CODES.BadUserAccessDenied
+    )
 
 
 @pytest.mark.parametrize(
@@ -170,9 +180,15 @@ def test_a_part_can_not_be_monitored_and_the_rest_can(sink: OpcUaSink, arm: Arm)
         item = ua.ReadValueId(arm.id("Position"), ua.AttributeIds.Value, index_range)
         parameters = ua.MonitoringParameters(ClientHandle=handle, SamplingInterval=100, QueueSize=1)
         items.append(ua.MonitoredItemCreateRequest(item, ua.MonitoringMode.Reporting, parameters))
-    create = ua.CreateMonitoredItemsParameters(subscription.aio_obj.subscription_id, ItemsToCreate=items)
+    create = ua.CreateMonitoredItemsParameters(
+        subscription.aio_obj.subscription_id, ItemsToCreate=items
+    )
     results = arm.client.tloop.post(arm.client.aio_obj.uaclient.create_monitored_items(create))
-    assert [int(result.StatusCode.value) for result in results] == [CODES.Good, CODES.BadNotSupported, CODES.Good]
+    assert [int(result.StatusCode.value) for result in results] == [
+        CODES.Good,
+        CODES.BadNotSupported,
+        CODES.Good,
+    ]
     subscription.delete()
 
 
@@ -182,7 +198,9 @@ def test_arrays_tell_their_rank_and_length(sink: OpcUaSink, arm: Arm):
     for name, variable in VARIABLES.items():
         found = arm.client.get_node(arm.id(name))
         assert found.read_value_rank() == (1 if name in lengths else -1)
-        assert (found.read_array_dimensions() or None) == ([lengths[name]] if name in lengths else None)
+        assert (found.read_array_dimensions() or None) == (
+            [lengths[name]] if name in lengths else None
+        )
         value = arm.read(name).Value
         assert value.VariantType.name == variable.type
         if lengths.get(name):
@@ -203,7 +221,9 @@ def test_what_no_target_stands_behind_is_uncertain_and_keeps_its_value(sink: Opc
 def test_times_and_numbers_for_clients_without_64_bits(sink: OpcUaSink, arm: Arm):
     show(sink, 6, stamp_ns=STAMP, index=2**40)
     assert (arm.read("StampNs").Value.Value, arm.read("FrameIndex").Value.Value) == (STAMP, 2**40)
-    assert arm.read("Stamp").Value.Value == datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=STAMP // 1000)
+    assert arm.read("Stamp").Value.Value == datetime(1970, 1, 1, tzinfo=UTC) + timedelta(
+        microseconds=STAMP // 1000
+    )
     assert arm.read("FrameIndex32").Value.Value == 2**31 - 1
     show(sink, 7)
     assert (arm.read("StampNs").Value.Value, arm.read("Stamp").Value.Value.year) == (0, 1601)
@@ -211,12 +231,19 @@ def test_times_and_numbers_for_clients_without_64_bits(sink: OpcUaSink, arm: Arm
 
 
 def test_before_the_first_frame_it_already_says_that_it_is_a_replay():
-    with OpcUaSink("127.0.0.1", free_port(), origin=Origin("s", replay=True)) as sink, Arm(sink.url) as arm:
-        values = {name: arm.read(name).Value.Value for name in ("Status", "Replay", "Session", "Valid")}
+    with (
+        OpcUaSink("127.0.0.1", free_port(), origin=Origin("s", replay=True)) as sink,
+        Arm(sink.url) as arm,
+    ):
+        values = {
+            name: arm.read(name).Value.Value for name in ("Status", "Replay", "Session", "Valid")
+        }
     assert values == {"Status": "starting", "Replay": True, "Session": "s", "Valid": False}
 
 
-def test_a_heartbeat_that_dies_is_an_alarm_and_the_server_starts_again_with_the_last_message(monkeypatch):
+def test_a_heartbeat_that_dies_is_an_alarm_and_the_server_starts_again_with_the_last_message(
+    monkeypatch,
+):
     with OpcUaSink("127.0.0.1", free_port()) as sink:
         show(sink, 9)
         with monkeypatch.context() as broken:
@@ -254,21 +281,40 @@ def random_value(rng: random.Random) -> ua.DataValue:
         (ua.VariantType.Null, lambda: None),
     ]
     kind, make = rng.choice(kinds[:1] if rng.random() < 0.5 else kinds)
-    value = make() if rng.random() < 0.7 or kind is ua.VariantType.Null else [make() for _ in range(rng.randrange(20))]
-    codes = [CODES.Good, CODES.Uncertain, CODES.UncertainLastUsableValue, CODES.BadSensorFailure, CODES.BadNoData]
+    value = (
+        make()
+        if rng.random() < 0.7 or kind is ua.VariantType.Null
+        else [make() for _ in range(rng.randrange(20))]
+    )
+    codes = [
+        CODES.Good,
+        CODES.Uncertain,
+        CODES.UncertainLastUsableValue,
+        CODES.BadSensorFailure,
+        CODES.BadNoData,
+    ]
     times = [None, datetime(1601, 1, 2, tzinfo=UTC), FAR, datetime.now(UTC)]
     status = ua.StatusCode(rng.choice(codes))
     variant = ua.Variant(value, kind, is_array=isinstance(value, list))
-    return ua.DataValue(variant, status, SourceTimestamp=rng.choice(times), ServerTimestamp=rng.choice(times))
+    return ua.DataValue(
+        variant, status, SourceTimestamp=rng.choice(times), ServerTimestamp=rng.choice(times)
+    )
 
 
 def scribble(url: str, seed: int, count: int, faults: list[str]) -> None:
-    """Write `count` random values to random nodes, as a client that means no good or is badly programmed."""
+    """Write `count` random values to random nodes, as a client that means no good or is badly
+    programmed."""
     rng = random.Random(seed)
     try:
         with Arm(url) as arm:
             for _ in range(count):
-                name = rng.choice(["AcknowledgedSequence", "AcknowledgedTarget", *(["Position", "Valid", "Heartbeat"])])
+                name = rng.choice(
+                    [
+                        "AcknowledgedSequence",
+                        "AcknowledgedTarget",
+                        *(["Position", "Valid", "Heartbeat"]),
+                    ]
+                )
                 index_range = rng.choice([None, None, None, "0", "3:5", "9:1", ""])
                 arm.write(name, random_value(rng), index_range)
     except Exception as fault:
@@ -281,10 +327,14 @@ def used_mb() -> float:
 
 
 def chaos(sink: OpcUaSink, writes: int) -> tuple[float, float, float]:
-    """Random writes from two clients while frames run; longest time of a frame and of the heartbeat [s], MB grown."""
+    """Random writes from two clients while frames run; longest time of a frame and of the heartbeat
+    [s], MB grown."""
     faults: list[str] = []
     sent, published, longest, oldest = sink.state().sent, 0, 0.0, 0.0
-    writers = [threading.Thread(target=scribble, args=(sink.url, seed, writes // 2, faults)) for seed in (1, 2)]
+    writers = [
+        threading.Thread(target=scribble, args=(sink.url, seed, writes // 2, faults))
+        for seed in (1, 2)
+    ]
     for writer in writers:
         writer.start()
     warm = None
@@ -321,11 +371,16 @@ def test_random_writes_from_two_clients_stop_nothing():
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="needs /proc")
-def test_10_000_random_writes_stop_nothing_and_leave_memory_flat(capsys: pytest.CaptureFixture[str]):
+def test_10_000_random_writes_stop_nothing_and_leave_memory_flat(
+    capsys: pytest.CaptureFixture[str],
+):
     with OpcUaSink("127.0.0.1", free_port()) as sink:
         longest, oldest, grown_mb = chaos(sink, 10_000)
         with capsys.disabled():
-            print(f"\nlongest frame {longest:.3f} s, oldest heartbeat {oldest:.3f} s, memory +{grown_mb:.1f} MB")  # noqa: T201
+            print(  # noqa: T201
+                f"\nlongest frame {longest:.3f} s, oldest heartbeat {oldest:.3f} s, memory"
+                f" +{grown_mb:.1f} MB"
+            )
         check_after_chaos(sink)
         assert longest < 1.0
         assert oldest < 2.0
@@ -345,8 +400,12 @@ def test_node_opcua_loads_the_nodeset_with_units(tmp_path: Path):
     assert rows.keys() == VARIABLES.keys()
     for name, variable in VARIABLES.items():
         row = rows[name]
-        assert row["unit"] == ([variable.unit, UNITS[variable.unit].code] if variable.unit else None)
-        assert (row["rank"], row["dimensions"]) == ((-1, None) if variable.length is None else (1, [variable.length]))
+        assert row["unit"] == (
+            [variable.unit, UNITS[variable.unit].code] if variable.unit else None
+        )
+        assert (row["rank"], row["dimensions"]) == (
+            (-1, None) if variable.length is None else (1, [variable.length])
+        )
         assert (row["text"], row["frame"]) == (variable.text, variable.frame or None)
         assert row["id"] == f"StereoOre.{variable.folder}.{name}"
         assert row["access"] == (3 if variable.folder == "Acknowledgement" else 1)
@@ -355,7 +414,12 @@ def test_node_opcua_loads_the_nodeset_with_units(tmp_path: Path):
 
 def test_node_opcua_reads_what_was_published(sink: OpcUaSink):
     show(sink, 6, stamp_ns=STAMP)
-    names = [("Result", "StampNs"), ("Result", "Stamp"), ("Result", "FrameIndex"), ("Result", "FrameIndex32")]
+    names = [
+        ("Result", "StampNs"),
+        ("Result", "Stamp"),
+        ("Result", "FrameIndex"),
+        ("Result", "FrameIndex32"),
+    ]
     names += [("Result", "Json"), ("Targets", "Position", "3:5"), ("Targets", "Size", "99")]
     rows = javascript("read", sink.url, json.dumps(names))
     assert rows["StampNs"]["value"] == [STAMP >> 32, STAMP & 0xFFFFFFFF], "a pair, as ever"

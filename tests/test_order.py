@@ -14,7 +14,19 @@ SITE = Site(plane=Plane(UP, -2.0))
 
 def solid(oversize: bool | None) -> Solid:
     zero = np.zeros(3)
-    return Solid(zero, zero, 1.0, (0.5, 2.0), zero, np.eye(3), zero, zero, "", np.zeros((4, 3), np.float32), oversize)
+    return Solid(
+        zero,
+        zero,
+        1.0,
+        (0.5, 2.0),
+        zero,
+        np.eye(3),
+        zero,
+        zero,
+        "",
+        np.zeros((4, 3), np.float32),
+        oversize,
+    )
 
 
 def strike(x: float = 0.0, height: float = 0.0, score: float = 0.5) -> StrikePlan:
@@ -42,12 +54,17 @@ def test_what_lies_on_top_goes_first_and_better_strikes_too() -> None:
 
 
 def test_the_plane_is_not_needed() -> None:
-    assert order([solid(True), solid(True)], [strike(height=0.1), strike(height=0.4)], Site(), CONFIG) == (2, 1)
+    assert order(
+        [solid(True), solid(True)], [strike(height=0.1), strike(height=0.4)], Site(), CONFIG
+    ) == (2, 1)
 
 
 def test_the_shorter_way_goes_first() -> None:
     reach = replace(
-        SITE, T_arm_camera=np.eye(4), reach_min_m=np.array([-1, -1, 1.0]), reach_max_m=np.array([1, 1, 3.0])
+        SITE,
+        T_arm_camera=np.eye(4),
+        reach_min_m=np.array([-1, -1, 1.0]),
+        reach_max_m=np.array([1, 1, 3.0]),
     )
     two = [solid(True), solid(True)]
     assert order(two, [strike(x=0.9), strike(x=0.1)], reach, CONFIG) == (2, 1)

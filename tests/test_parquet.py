@@ -27,10 +27,14 @@ DAY_NS = 86_400_000_000_000
 GUIDE = Path(__file__).parents[1] / "docs" / "cluster.md"
 
 
-def add(folder: Path, records: list[dict], lake: Path, digest: str, camera: str | None = None) -> Path:
+def add(
+    folder: Path, records: list[dict], lake: Path, digest: str, camera: str | None = None
+) -> Path:
     """A run with these records, added to `lake`."""
     make_run(folder, records, stages=False)
-    (folder / "run.json").write_text(json.dumps({"digest": digest, "inputs": [{"frame": records[0]["frame"]}]}))
+    (folder / "run.json").write_text(
+        json.dumps({"digest": digest, "inputs": [{"frame": records[0]["frame"]}]})
+    )
     return write_parquet(Results(folder), lake, camera)
 
 
@@ -46,14 +50,20 @@ def files(lake: Path) -> list[Path]:
 def lake(tmp_path: Path) -> Path:
     """Two runs of different cameras; the first goes on for a day and has a frame without ores."""
     first = [record(0, [ore(1), ore(2, oversize=False)]), record(1, [ore(1, strike=False)])]
-    first += [record(2, [ore(1)], stamp_ns=STAMP + DAY_NS), record(3, [], "empty", stamp_ns=STAMP + 2 * DAY_NS)]
+    first += [
+        record(2, [ore(1)], stamp_ns=STAMP + DAY_NS),
+        record(3, [], "empty", stamp_ns=STAMP + 2 * DAY_NS),
+    ]
     add(tmp_path / "a", first, tmp_path / "lake", "a", "north")
     return add(tmp_path / "b", [record(0, [ore(7)])], tmp_path / "lake", "b", "south")
 
 
 def test_rows_are_the_ores_of_the_records(lake: Path) -> None:
-    rows = ask(f"""SELECT camera, frame, id, target_rank, oversize, cog_arm_z_m, volume_low_m3, reasons, strike_score
-                   FROM read_parquet('{lake}/ores/**/*.parquet') ORDER BY camera, index, id""")
+    rows = ask(
+        f"""SELECT camera, frame, id, target_rank, oversize, cog_arm_z_m, volume_low_m3,
+                   reasons, strike_score
+                   FROM read_parquet('{lake}/ores/**/*.parquet') ORDER BY camera, index, id"""
+    )
     assert rows == [
         ("north", "000000", 1, 2, True, 3.0, 0.003, [], 0.9),
         ("north", "000000", 2, 1, False, 3.0, 0.003, [], 0.9),
@@ -66,11 +76,19 @@ def test_rows_are_the_ores_of_the_records(lake: Path) -> None:
 def test_days_are_folders_and_a_column_and_stamps_are_exact(lake: Path) -> None:
     days = ask(f"""SELECT CAST(date AS VARCHAR), count(*), min(epoch_ns(stamp_utc))
                    FROM read_parquet('{lake}/frames/**/*.parquet') GROUP BY 1 ORDER BY 1""")
-    assert days == [("2023-11-14", 3, STAMP), ("2023-11-15", 1, STAMP + DAY_NS), ("2023-11-16", 1, STAMP + 2 * DAY_NS)]
+    assert days == [
+        ("2023-11-14", 3, STAMP),
+        ("2023-11-15", 1, STAMP + DAY_NS),
+        ("2023-11-16", 1, STAMP + 2 * DAY_NS),
+    ]
     table = dataset.dataset(lake / "ores")
     assert table.count_rows(filter=dataset.field("date") == date(2023, 11, 15)) == 1
     assert table.count_rows(filter=dataset.field("date") == date(2023, 11, 16)) == 0
-    assert {path.parent.name for path in lake.glob("ores/*/*")} == {"2023-11-14", "2023-11-15", "2023-11-16"}
+    assert {path.parent.name for path in lake.glob("ores/*/*")} == {
+        "2023-11-14",
+        "2023-11-15",
+        "2023-11-16",
+    }
 
 
 @pytest.mark.parametrize("name", TABLES)
@@ -81,7 +99,14 @@ def test_types_and_units_are_the_same_in_every_file(lake: Path, name: str) -> No
         assert schema.equals(schema_of(name))
         assert schema.metadata[b"schema"] == b"stereo_ore/parquet/2"
     units = {field.name: (field.metadata or {}).get(b"unit", b"").decode() for field in schemas[0]}
-    expected = {"ores": {"cog_arm_x_m": "m", "volume_m3": "m³", "slope_deg": "degree", "direction_arm_x": ""}}
+    expected = {
+        "ores": {
+            "cog_arm_x_m": "m",
+            "volume_m3": "m³",
+            "slope_deg": "degree",
+            "direction_arm_x": "",
+        }
+    }
     for column, unit in expected.get(name, {"grizzly_offset_m": "m"}).items():
         assert units[column] == unit
     assert not pa.types.is_null(schemas[0].field("index").type)
@@ -96,7 +121,9 @@ def test_a_run_added_again_takes_its_own_place(lake: Path, tmp_path: Path) -> No
     grown = [record(0, [ore(1)]), record(1, [ore(1), ore(2)]), record(2, [ore(1)])]
     shutil.rmtree(tmp_path / "a")
     add(tmp_path / "a", grown, lake, "a", "north")
-    assert ask(f"SELECT camera, count(*) FROM '{lake}/ores/**/*.parquet' GROUP BY 1 ORDER BY 1") == [
+    assert ask(
+        f"SELECT camera, count(*) FROM '{lake}/ores/**/*.parquet' GROUP BY 1 ORDER BY 1"
+    ) == [
         ("north", 4),
         ("south", 1),
     ]
@@ -105,12 +132,18 @@ def test_a_run_added_again_takes_its_own_place(lake: Path, tmp_path: Path) -> No
 
 def test_a_running_run_has_the_name_of_the_finished_one(tmp_path: Path) -> None:
     entry = {"frame": "000000", "files": {"a.png": "12"}}
-    for name, inputs in (("done", [entry, entry]), ("running", None), ("other", [{"frame": "000000", "files": {}}])):
+    for name, inputs in (
+        ("done", [entry, entry]),
+        ("running", None),
+        ("other", [{"frame": "000000", "files": {}}]),
+    ):
         (tmp_path / name).mkdir()
         run = {"digest": "d"} if inputs is None else {"digest": "d", "inputs": inputs}
         (tmp_path / name / "run.json").write_text(json.dumps(run))
     (tmp_path / "running" / "inputs.jsonl.part").write_text(json.dumps(entry) + "\n")
-    done, running, other = (run_id(Results(tmp_path / name)) for name in ("done", "running", "other"))
+    done, running, other = (
+        run_id(Results(tmp_path / name)) for name in ("done", "running", "other")
+    )
     assert done == running != other
 
 
@@ -119,7 +152,8 @@ def test_frames_without_a_stamp_have_no_day(tmp_path: Path) -> None:
     add(tmp_path / "b", [record(0, [ore(1)])], tmp_path / "lake", "b")
     assert (tmp_path / "lake" / "ores" / NO_DAY).is_dir()
     query = (
-        f"SELECT CAST(date AS VARCHAR), stamp_utc IS NULL, camera FROM '{tmp_path}/lake/ores/**/*.parquet' ORDER BY 2"
+        "SELECT CAST(date AS VARCHAR), stamp_utc IS NULL, camera FROM"
+        f" '{tmp_path}/lake/ores/**/*.parquet' ORDER BY 2"
     )
     camera = Results(tmp_path / "a").camera
     assert ask(query) == [("2023-11-14", False, camera), (None, True, camera)]
@@ -146,7 +180,9 @@ def with_duckdb(folder: Path) -> list[tuple]:
 
 
 @pytest.mark.parametrize("read", [with_pandas, with_polars, with_pyarrow, with_duckdb])
-@pytest.mark.parametrize("stamps", [(None,), (STAMP,), (None, STAMP), (None, STAMP, STAMP + DAY_NS)])
+@pytest.mark.parametrize(
+    "stamps", [(None,), (STAMP,), (None, STAMP), (None, STAMP, STAMP + DAY_NS)]
+)
 def test_every_reader_takes_the_folder_as_one_table(tmp_path: Path, read, stamps) -> None:
     """Runs with and without stamps, and a run whose frames have one now and then."""
     for number, stamp in enumerate(stamps):
@@ -187,18 +223,36 @@ def test_the_query_of_the_readme(lake: Path, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.chdir(lake.parent)
     lake.rename(lake.parent / "tables")
     rows = ask(query)
-    assert [(str(month), camera) for month, camera, *_ in rows] == [("2023-11-01", "north"), ("2023-11-01", "south")]
+    assert [(str(month), camera) for month, camera, *_ in rows] == [
+        ("2023-11-01", "north"),
+        ("2023-11-01", "south"),
+    ]
     assert rows[0][2:4] == (3, 2)
 
 
 def test_command_and_missing_extra(tmp_path: Path) -> None:
     run = make_run(tmp_path / "run", stages=False)
-    command = ["stereo-ore", "export", run, tmp_path / "tables", "--format", "parquet", "--camera", "east"]
+    command = [
+        "stereo-ore",
+        "export",
+        run,
+        tmp_path / "tables",
+        "--format",
+        "parquet",
+        "--camera",
+        "east",
+    ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stdout.strip()) == (0, str(tmp_path / "tables"))
     assert ask(f"SELECT DISTINCT camera FROM '{tmp_path}/tables/ores/**/*.parquet'") == [("east",)]
     words = ["export", str(run), str(tmp_path / "x"), "--format", "parquet"]
-    code = f"import sys; sys.modules['pyarrow'] = None\nfrom stereo_ore.cli import launch; launch({words!r})"
+    code = (
+        "import sys; sys.modules['pyarrow'] = None\nfrom stereo_ore.cli import launch;"
+        f" launch({words!r})"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert done.returncode == 1
-    assert done.stderr == 'error: the optional package pyarrow is not installed. pip install "stereo-ore[parquet]"\n'
+    assert (
+        done.stderr == "error: the optional package pyarrow is not installed. pip install"
+        ' "stereo-ore[parquet]"\n'
+    )

@@ -1,4 +1,5 @@
-"""What image files say beside their pixels: where they end, turns, both eyes in one file, pages; depth of pixels."""
+"""What image files say beside their pixels: where they end, turns, both eyes in one file, pages;
+depth of pixels."""
 
 import struct
 import zlib
@@ -43,9 +44,13 @@ def exif(turn: int, order: str = "<") -> bytes:
 # --- the end
 
 
-@pytest.mark.parametrize("tail", [b"", bytes(4), bytes(900), bytes(4096), b"\0\xff\xd8 no end", b"trailer" * 5000])
+@pytest.mark.parametrize(
+    "tail", [b"", bytes(4), bytes(900), bytes(4096), b"\0\xff\xd8 no end", b"trailer" * 5000]
+)
 @pytest.mark.parametrize("suffix", [".jpg", ".png"])
-def test_what_follows_the_end_is_no_part_of_a_file(suffix: str, tail: bytes, tmp_path: Path) -> None:
+def test_what_follows_the_end_is_no_part_of_a_file(
+    suffix: str, tail: bytes, tmp_path: Path
+) -> None:
     data = encoded(picture(), suffix)
     path = tmp_path / f"x{suffix}"
     path.write_bytes(data + tail)
@@ -97,13 +102,17 @@ def test_a_turn_of_one_eye_is_told_and_of_both_is_not_made(order: str, tmp_path:
     assert (jpeg.orientation(turned), jpeg.orientation(plain)) == (3, 1)
     (tmp_path / "left.jpg").write_bytes(plain)
     (tmp_path / "right.jpg").write_bytes(turned)
-    with pytest.raises(FrameError, match=r"right\.jpg: says that it is to be turned by 180°, left\.jpg") as caught:
+    with pytest.raises(
+        FrameError, match=r"right\.jpg: says that it is to be turned by 180°, left\.jpg"
+    ) as caught:
         open_source(tmp_path).read(0)
     assert caught.value.code == "ORIENTATION_MISMATCH"
     (tmp_path / "left.jpg").write_bytes(turned)
     pair = open_source(tmp_path).read(0)
     np.testing.assert_array_equal(pair.left, cv2.imdecode(np.frombuffer(plain, np.uint8), 1))
-    assert "left.jpg asks viewers to turn it by 180°, pixels are taken as stored" in describe(open_source(tmp_path))
+    assert "left.jpg asks viewers to turn it by 180°, pixels are taken as stored" in describe(
+        open_source(tmp_path)
+    )
 
 
 def test_a_turn_may_be_in_a_png_or_a_tiff() -> None:
@@ -117,7 +126,9 @@ def test_a_turn_may_be_in_a_png_or_a_tiff() -> None:
 @given(st.binary(max_size=60))
 @settings(deadline=None)
 def test_damaged_tags_turn_nothing(content: bytes) -> None:
-    assert isinstance(turn_of(with_segment(encoded(picture()), 0xE1, b"Exif\0\0II*\0" + content)), int)
+    assert isinstance(
+        turn_of(with_segment(encoded(picture()), 0xE1, b"Exif\0\0II*\0" + content)), int
+    )
 
 
 # --- both eyes in one file
@@ -144,7 +155,9 @@ def test_a_stereo_jpeg_says_which_eye_comes_first(tmp_path: Path) -> None:
         open_source(tmp_path / "tall.jps").read(0)
 
 
-def test_a_folder_of_stereo_files_is_one_of_both_eyes_whatever_they_are_called(tmp_path: Path) -> None:
+def test_a_folder_of_stereo_files_is_one_of_both_eyes_whatever_they_are_called(
+    tmp_path: Path,
+) -> None:
     for name in ("left_wall.jps", "right_wall.jps"):
         (tmp_path / name).write_bytes(encoded(np.hstack([picture(1), picture(2)])))
     assert open_source(tmp_path).description == {"kind": "side-by-side images", "frames": 2}
@@ -160,7 +173,9 @@ def mpo(pictures: list[bytes], kind: int = 0x020002) -> bytes:
     for number, data in enumerate([first, *pictures[1:]]):
         entries += struct.pack("<IIIHH", kind, len(data), offset - place if number else 0, 0, 0)
         offset += len(data)
-    index = b"II*\0" + struct.pack("<IHHHII", 8, 1, 0xB002, 7, len(entries), 26) + bytes(4) + entries
+    index = (
+        b"II*\0" + struct.pack("<IHHHII", 8, 1, 0xB002, 7, len(entries), 26) + bytes(4) + entries
+    )
     return first[:2] + segment(0xE2, b"MPF\0" + index) + pictures[0][2:] + b"".join(pictures[1:])
 
 
@@ -170,7 +185,9 @@ def test_two_pictures_of_a_size_are_the_eyes(suffix: str, tmp_path: Path) -> Non
     path.write_bytes(mpo([encoded(picture(1)), encoded(picture(2))]))
     pair = open_source(path).read(0)
     for image, seed in ((pair.left, 1), (pair.right, 2)):
-        np.testing.assert_array_equal(image, cv2.imdecode(np.frombuffer(encoded(picture(seed)), np.uint8), 1))
+        np.testing.assert_array_equal(
+            image, cv2.imdecode(np.frombuffer(encoded(picture(seed)), np.uint8), 1)
+        )
 
 
 def test_a_preview_is_no_eye(tmp_path: Path) -> None:

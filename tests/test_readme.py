@@ -13,8 +13,14 @@ from stereo_ore.cli import app, load_verbs
 from stereo_ore.config import Config
 
 ROOT = Path(__file__).parents[1]
-GUIDES = ("README.md", "calib/README.md", *sorted(f"docs/{page.name}" for page in (ROOT / "docs").glob("*.md")))
-WITH_COMMANDS = [guide for guide in GUIDES if "stereo-ore " in (ROOT / guide).read_text(encoding="utf-8")]
+GUIDES = (
+    "README.md",
+    "calib/README.md",
+    *sorted(f"docs/{page.name}" for page in (ROOT / "docs").glob("*.md")),
+)
+WITH_COMMANDS = [
+    guide for guide in GUIDES if "stereo-ore " in (ROOT / guide).read_text(encoding="utf-8")
+]
 PAGES = (*GUIDES, "CONTRIBUTING.md", "tests/README.md", "data/README.md", ".github/SECURITY.md")
 COMMAND = re.compile(r"stereo-ore ((?!--)[a-z][^`\n#]*)")
 
@@ -35,7 +41,11 @@ def commands(group: Any) -> dict[str, Any]:
 
 
 def options(command: Any) -> set[str]:
-    return {text for parameter in command.params for text in (*parameter.opts, *parameter.secondary_opts)} | {"--help"}
+    return {
+        text
+        for parameter in command.params
+        for text in (*parameter.opts, *parameter.secondary_opts)
+    } | {"--help"}
 
 
 def named(guide: str) -> list[str]:
@@ -58,7 +68,10 @@ def test_every_command_shown_has_its_verb_and_options(guide: str) -> None:
 def test_every_option_named_exists_somewhere(guide: str) -> None:
     text = re.sub(r"^dask .*", "", (ROOT / guide).read_text(encoding="utf-8"), flags=re.MULTILINE)
     known = options(root()).union(*(options(command) for command in commands(root()).values()))
-    assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", text)) <= known | {"--strict", "--require-hashes"}
+    assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", text)) <= known | {
+        "--strict",
+        "--require-hashes",
+    }
 
 
 @pytest.mark.parametrize("page", PAGES)
@@ -84,20 +97,30 @@ def record_keys(schema: Any) -> set[str]:
 
 
 def test_the_glossary_has_the_words_of_records_and_parameters() -> None:
-    schema = json.loads((ROOT / "stereo_ore" / "schema" / "frame-2.json").read_text(encoding="utf-8"))
+    schema = json.loads(
+        (ROOT / "stereo_ore" / "schema" / "frame-2.json").read_text(encoding="utf-8")
+    )
     text = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
     words = set(re.findall(r"\w+", text))
-    assert {key for key in record_keys(schema["$defs"]) | record_keys(schema) if key not in words} == set()
+    assert {
+        key for key in record_keys(schema["$defs"]) | record_keys(schema) if key not in words
+    } == set()
     assert {name for name in Config.model_fields if name not in words} == set()
 
 
 def test_every_verb_is_in_the_table() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert [verb for verb in root().commands if not re.search(rf"`(?:stereo-ore )?{verb}\b", text)] == []
+    assert [
+        verb for verb in root().commands if not re.search(rf"`(?:stereo-ore )?{verb}\b", text)
+    ] == []
 
 
 def test_every_extra_is_in_the_table() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
-    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"][
+        "optional-dependencies"
+    ]
     table = text.partition("## Extras")[2].partition("\n## ")[0]
-    assert [name for name in extras if name not in ("test", "dev") and f"`{name}`" not in table] == []
+    assert [
+        name for name in extras if name not in ("test", "dev") and f"`{name}`" not in table
+    ] == []

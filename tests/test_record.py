@@ -12,13 +12,25 @@ from hypothesis import strategies as st
 
 from stereo_ore.chain import COUNTS
 from stereo_ore.record import number, record, to_line
-from stereo_ore.types import FrameResult, Grizzly, Ore, Plane, Reason, Site, Solid, Strike, StrikePlan
+from stereo_ore.types import (
+    FrameResult,
+    Grizzly,
+    Ore,
+    Plane,
+    Reason,
+    Site,
+    Solid,
+    Strike,
+    StrikePlan,
+)
 
 SCHEMA = json.loads((files("stereo_ore") / "schema" / "frame-2.json").read_text(encoding="utf-8"))
 VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
 
 T_ARM_CAMERA = np.array([[0.0, 1, 0, 1], [1, 0, 0, 2], [0, 0, -1, 3], [0, 0, 0, 1]])
-FAILED = FrameResult("000007", 7, None, "failed", (Reason("UNPAIRED", "no right image"),), dict.fromkeys(COUNTS, 0))
+FAILED = FrameResult(
+    "000007", 7, None, "failed", (Reason("UNPAIRED", "no right image"),), dict.fromkeys(COUNTS, 0)
+)
 
 coordinates = st.floats(-50, 50)
 vectors = st.tuples(coordinates, coordinates, coordinates).map(np.array)
@@ -55,7 +67,9 @@ ores = st.builds(
     surface_centroid=vectors,
     solid=st.none() | solids,
     plan=st.builds(
-        StrikePlan, strikes=st.lists(strikes, max_size=3).map(tuple), reasons=st.just((Reason("TOO_STEEP", "62°"),))
+        StrikePlan,
+        strikes=st.lists(strikes, max_size=3).map(tuple),
+        reasons=st.just((Reason("TOO_STEEP", "62°"),)),
     ),
 )
 results = st.builds(
@@ -84,7 +98,11 @@ def test_every_record_is_valid_and_survives_json(result: FrameResult, arm: bool)
 
 def test_the_schema_refuses_what_is_no_record() -> None:
     data = record(FAILED, Site())
-    for broken in (data | {"units": "mm"}, data | {"extra": 1}, {key: data[key] for key in data if key != "status"}):
+    for broken in (
+        data | {"units": "mm"},
+        data | {"extra": 1},
+        {key: data[key] for key in data if key != "status"},
+    ):
         with pytest.raises(jsonschema.ValidationError):
             VALIDATOR.validate(broken)
 
@@ -97,7 +115,15 @@ def test_a_failed_frame_says_why_and_targets_nothing() -> None:
 
 def test_points_are_moved_and_directions_only_turned() -> None:
     strike = Strike(np.array([1.0, 2, 3]), np.array([0.0, 0, 1]), np.radians(8), 0.003, 0.9)
-    ore = Ore(1, 5, 9, False, np.array([0.5, 0, 2]), None, StrikePlan((strike, replace(strike, score=0.4))))
+    ore = Ore(
+        1,
+        5,
+        9,
+        False,
+        np.array([0.5, 0, 2]),
+        None,
+        StrikePlan((strike, replace(strike, score=0.4))),
+    )
     site = Site(T_arm_camera=T_ARM_CAMERA)
     data = record(replace(FAILED, status="ok", ores=(ore.located(T_ARM_CAMERA),)), site)["ores"][0]
     assert data["surface_centroid"] == {"camera": [0.5, 0, 2], "arm": [1, 2.5, 1]}
@@ -109,7 +135,8 @@ def test_points_are_moved_and_directions_only_turned() -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "written"), [(np.nan, None), (np.inf, None), (-0.0000001, 0.0), (1 / 3, 0.333333), (np.float32(2), 2.0)]
+    ("value", "written"),
+    [(np.nan, None), (np.inf, None), (-0.0000001, 0.0), (1 / 3, 0.333333), (np.float32(2), 2.0)],
 )
 def test_numbers_are_rounded_and_finite(value: float, written: float | None) -> None:
     assert number(value) == written

@@ -1,4 +1,5 @@
-"""Recordings as real tools and people leave them: each of the inputs in ../shared/data gives its right value."""
+"""Recordings as real tools and people leave them: each of the inputs in ../shared/data gives its
+right value."""
 
 import json
 import os
@@ -35,7 +36,11 @@ class Run:
 
     def nearest(self, frame: int, point: tuple[float, float, float], base: str = "camera") -> float:
         """Distance [m] from a point to the nearest ore's centre of gravity."""
-        centres = [ore["centre_of_gravity"][base] for ore in self.records[frame]["ores"] if ore["centre_of_gravity"]]
+        centres = [
+            ore["centre_of_gravity"][base]
+            for ore in self.records[frame]["ores"]
+            if ore["centre_of_gravity"]
+        ]
         return float(np.min(np.linalg.norm(np.array(centres) - point, axis=1)))
 
 
@@ -43,13 +48,23 @@ class Run:
 def run(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Callable[..., Run]:
     def command(*arguments: object, name: str = "out") -> Run:
         out = tmp_path / name
-        kept = ["--no-report", "--no-clouds", "--no-overlays", "--out", str(out), "--set", "health.refuse_frozen=false"]
+        kept = [
+            "--no-report",
+            "--no-clouds",
+            "--no-overlays",
+            "--out",
+            str(out),
+            "--set",
+            "health.refuse_frozen=false",
+        ]
         with pytest.raises(SystemExit) as end:
             launch(["run", *map(str, arguments), *kept])
         printed = capsys.readouterr()
         file = out / "frames.jsonl"
         lines = file.read_text().splitlines() if file.exists() else []
-        return Run(int(end.value.code or 0), printed.out, printed.err, tuple(map(json.loads, lines)))
+        return Run(
+            int(end.value.code or 0), printed.out, printed.err, tuple(map(json.loads, lines))
+        )
 
     return command
 
@@ -82,7 +97,9 @@ FIRST_ORES = {
 def test_videos_of_real_recorders(name: str, shared_data: Path, run: Callable[..., Run]) -> None:
     folder = shared_data / "surprises" / name
     file, count = VIDEOS[name]
-    done = run(folder / file, "--calib", folder / "calibration.yaml", "--site", folder / "site.yaml")
+    done = run(
+        folder / file, "--calib", folder / "calibration.yaml", "--site", folder / "site.yaml"
+    )
     assert (done.code, done.statuses) == (0, ["ok"] * count)
     assert {record["stamp_source"] for record in done.records} <= {"container", "modification time"}
     if name in FIRST_ORES:
@@ -103,26 +120,36 @@ BAGS = {
 
 
 @pytest.mark.parametrize("name", BAGS)
-def test_bags_of_real_recorders(name: str, shared_data: Path, tmp_path: Path, run: Callable[..., Run]) -> None:
+def test_bags_of_real_recorders(
+    name: str, shared_data: Path, tmp_path: Path, run: Callable[..., Run]
+) -> None:
     for package in ("rosbags", "mcap", "google.protobuf", "av"):
         pytest.importorskip(package)
     file, count, given = BAGS[name]
-    folder = shutil.copytree(shared_data / "surprises" / name.partition(",")[0], tmp_path / "recording")
+    folder = shutil.copytree(
+        shared_data / "surprises" / name.partition(",")[0], tmp_path / "recording"
+    )
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     calib = ["--calib", folder / "calibration.yaml"] if given else []
     done = run(folder / file, *calib, "--site", folder / "site.yaml")
     assert (done.code, done.statuses) == (0, ["ok"] * count), done.err
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
     if not given:
-        assert np.linalg.norm(open_source(folder / file).calibration.t_right_left) == pytest.approx(0.12, abs=1e-6)
+        assert np.linalg.norm(open_source(folder / file).calibration.t_right_left) == pytest.approx(
+            0.12, abs=1e-6
+        )
 
 
 @pytest.mark.parametrize("file", ["right_first.jps", "pair.mpo", "right_first.jpg", "pair.jpg"])
-def test_recordings_10_jps_and_mpo(file: str, shared_data: Path, tmp_path: Path, run: Callable[..., Run]) -> None:
+def test_recordings_10_jps_and_mpo(
+    file: str, shared_data: Path, tmp_path: Path, run: Callable[..., Run]
+) -> None:
     folder = shared_data / "surprises" / "recordings-10-jps-and-mpo"
     (source,) = (path for path in folder.iterdir() if path.stem == file.partition(".")[0])
     shutil.copy(source, tmp_path / file)
-    done = run(tmp_path / file, "--calib", folder / "calibration.yaml", "--site", folder / "site.yaml")
+    done = run(
+        tmp_path / file, "--calib", folder / "calibration.yaml", "--site", folder / "site.yaml"
+    )
     assert (done.code, done.statuses) == (0, ["ok"])
     assert ("the right eye comes first" in done.err) == file.startswith("right")
 
@@ -142,8 +169,12 @@ def test_11_zstd_bag(shared_data: Path) -> None:
 
 
 ENCODINGS = {
-    "protobuf.mcap": r"no image that can be read here: /left/image \(protobuf foxglove\.CompressedImage\)",
-    "video_only.mcap": r"no image that can be read: /left/video \(foxglove_msgs/msg/CompressedVideo\)",
+    "protobuf.mcap": (
+        r"no image that can be read here: /left/image \(protobuf foxglove\.CompressedImage\)"
+    ),
+    "video_only.mcap": (
+        r"no image that can be read: /left/video \(foxglove_msgs/msg/CompressedVideo\)"
+    ),
 }
 
 
@@ -157,7 +188,10 @@ def test_12_mcap_other_encodings(file: str, shared_data: Path) -> None:
 
 def test_12_mcap_of_ros1(shared_data: Path) -> None:
     pytest.importorskip("mcap")
-    assert read_all(open_source(shared_data / "reports" / "12-mcap-other-encodings" / "ros1.mcap")) == 2
+    assert (
+        read_all(open_source(shared_data / "reports" / "12-mcap-other-encodings" / "ros1.mcap"))
+        == 2
+    )
 
 
 @pytest.mark.parametrize("layout", ["rec", "dirs", "--left --right"])
@@ -173,12 +207,16 @@ def test_18_two_videos(layout: str, shared_data: Path) -> None:
 def test_26_hot_pixel(shared_data: Path, run: Callable[..., Run]) -> None:
     folder = shared_data / "reports" / "26-hot-pixel" / "hot"
     done = run(folder, "--calib", SCENE / "calibration.yaml", "--site", SCENE / "site.yaml")
-    clean = run(SCENE, "--calib", SCENE / "calibration.yaml", "--site", SCENE / "site.yaml", name="clean")
+    clean = run(
+        SCENE, "--calib", SCENE / "calibration.yaml", "--site", SCENE / "site.yaml", name="clean"
+    )
     assert (done.statuses, clean.statuses) == (["ok"], ["ok"])
     assert done.records[0]["targets"] == clean.records[0]["targets"] != []
 
 
-@pytest.mark.parametrize("name", ["plain", "extraneous1", "extraneous12", "pad4", "pad900", "pad4k", "rst", "trailer"])
+@pytest.mark.parametrize(
+    "name", ["plain", "extraneous1", "extraneous12", "pad4", "pad900", "pad4k", "rst", "trailer"]
+)
 def test_09_mjpeg_bytes(name: str, shared_data: Path) -> None:
     folder = shared_data / "reports" / "09-mjpeg-bytes"
     found, plain = (open_source(folder / each).read(0) for each in (name, "plain"))
@@ -218,7 +256,9 @@ PAIRED = {
 
 
 @pytest.mark.parametrize("name", PAIRED)
-def test_files_that_are_one_frame(name: str, shared_data: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_files_that_are_one_frame(
+    name: str, shared_data: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     source = open_source(shared_data / "reports2" / name)
     assert source.names == PAIRED[name]
     assert read_all(source) == len(PAIRED[name])
@@ -231,7 +271,9 @@ def test_files_that_are_one_frame(name: str, shared_data: Path, caplog: pytest.L
 
 def test_12_stamped_names_are_paired_within_the_skew_alone(shared_data: Path) -> None:
     with pytest.raises(FrameError, match="partner"):
-        open_source(shared_data / "reports2" / "12-stamped-names", BagOptions(max_skew_ms=0.1)).read(0)
+        open_source(
+            shared_data / "reports2" / "12-stamped-names", BagOptions(max_skew_ms=0.1)
+        ).read(0)
 
 
 def test_12_stamped_names_give_the_stamps(shared_data: Path) -> None:
@@ -269,7 +311,9 @@ WINDOWS = {"b_roi": (0.190, -0.199, 0.958), "b_oak14raw": (0.190, -0.199, 0.958)
 def test_21_bag_topics(name: str, shared_data: Path, run: Callable[..., Run]) -> None:
     pytest.importorskip("rosbags")
     if not hasattr(ros, "_windowed"):
-        pytest.skip("windows of sensors and 14 coefficients need the reader of camera_info that knows them")
+        pytest.skip(
+            "windows of sensors and 14 coefficients need the reader of camera_info that knows them"
+        )
     folder = shared_data / "reports" / "21-bag-topics"
     done = run(folder / name, "--site", folder / "site_noplane.yaml")
     assert done.statuses == ["ok"], done.err

@@ -30,7 +30,9 @@ def raw(**changes: object) -> StereoCalibration:
 
 
 def project(camera: CameraModel, xyz: np.ndarray) -> np.ndarray:
-    return cv2.projectPoints(xyz, np.zeros(3), np.zeros(3), camera.K, np.array(camera.distortion))[0][:, 0]
+    return cv2.projectPoints(xyz, np.zeros(3), np.zeros(3), camera.K, np.array(camera.distortion))[
+        0
+    ][:, 0]
 
 
 def points() -> np.ndarray:
@@ -102,14 +104,19 @@ def test_raw_points_fall_on_one_row_at_their_disparity() -> None:
     uv = rig.project(in_rectified)
     seen = in_rectified @ P2[:, :3].T + P2[:, 3]
     np.testing.assert_allclose(seen[:, 1] / seen[:, 2], uv[:, 1], atol=1e-3)
-    np.testing.assert_allclose(uv[:, 0] - seen[:, 0] / seen[:, 2], rig.disparity(in_rectified[:, 2]), atol=1e-3)
+    np.testing.assert_allclose(
+        uv[:, 0] - seen[:, 0] / seen[:, 2], rig.disparity(in_rectified[:, 2]), atol=1e-3
+    )
     for maps, camera, xyz, target in (
         (rectifier.left, calibration.left, X_left, uv),
         (rectifier.right, calibration.right, X_right, seen[:, :2] / seen[:, 2:]),
     ):
         inside = ((target > 1) & (target < np.array(SIZE) - 2)).all(1)
         assert inside.sum() > 10
-        x, y = (cv2.remap(m, *target[inside].T.astype(np.float32), cv2.INTER_LINEAR).ravel() for m in maps)
+        x, y = (
+            cv2.remap(m, *target[inside].T.astype(np.float32), cv2.INTER_LINEAR).ravel()
+            for m in maps
+        )
         np.testing.assert_allclose(np.stack([x, y], 1), project(camera, xyz)[inside], atol=0.02)
 
 
@@ -124,7 +131,14 @@ def test_equidistant_eyes_are_rectified_with_their_own_model() -> None:
     centre = rectifier.left[0][240, 320], rectifier.left[1][240, 320]
     ray = cv2.fisheye.undistortPoints(np.array([[centre]], float), left.K, np.array(k))[0, 0]
     R1 = cv2.fisheye.stereoRectify(
-        left.K, np.array(k), right.K, np.array(k), SIZE, R, np.array([[-0.1], [0.0], [0.0]]), cv2.CALIB_ZERO_DISPARITY
+        left.K,
+        np.array(k),
+        right.K,
+        np.array(k),
+        SIZE,
+        R,
+        np.array([[-0.1], [0.0], [0.0]]),
+        cv2.CALIB_ZERO_DISPARITY,
     )[0]
     straight = R1 @ [*ray, 1.0]
     expected = rectifier.rig.back_project(320, 240, 1.0)
@@ -145,7 +159,9 @@ def test_the_path_traced_raw_scene_gives_its_reference_geometry(shared_data: Pat
     ]
     t = np.array(document["t_right_left_mm"]) / 1000
     size = (document["width"], document["height"])
-    rig = make_rectifier(StereoCalibration(size, *eyes, np.array(document["R_right_left"]), t, "raw")).rig
+    rig = make_rectifier(
+        StereoCalibration(size, *eyes, np.array(document["R_right_left"]), t, "raw")
+    ).rig
     P1, P2 = (np.array(document["reference_rectification"][key]) for key in ("P1", "P2"))
     np.testing.assert_allclose([rig.fx, rig.cx, rig.cy], [P1[0, 0], P1[0, 2], P1[1, 2]], atol=0.01)
     assert rig.fx * rig.baseline_m * 1000 == pytest.approx(-P2[0, 3], rel=1e-4)

@@ -1,4 +1,5 @@
-"""The bars measured against their place, and the rows that show them elsewhere, on analytic screens."""
+"""The bars measured against their place, and the rows that show them elsewhere, on analytic
+screens."""
 
 from dataclasses import dataclass, replace
 
@@ -48,7 +49,11 @@ def seen(screen: Screen) -> Disparity:
 
 def field(coefficients: F64) -> F64:
     v, u = np.mgrid[: RIG.height, : RIG.width]
-    return coefficients[0] + coefficients[1] * (u - RIG.cx) / RIG.fx + coefficients[2] * (v - RIG.cy) / RIG.fy
+    return (
+        coefficients[0]
+        + coefficients[1] * (u - RIG.cx) / RIG.fx
+        + coefficients[2] * (v - RIG.cy) / RIG.fy
+    )
 
 
 def planted(disparity: Disparity, coefficients: F64) -> Disparity:
@@ -61,9 +66,13 @@ def measured(disparity: Disparity, plane: Plane, rig: Rig = RIG, site: Site = SI
     return found
 
 
-@given(st.floats(-0.3, 0.3), st.floats(0, np.pi), st.integers(0, 1000), st.sampled_from([(), LUMPS]))
+@given(
+    st.floats(-0.3, 0.3), st.floats(0, np.pi), st.integers(0, 1000), st.sampled_from([(), LUMPS])
+)
 @settings(max_examples=15, deadline=None)
-def test_bars_at_their_place_are_measured_there(tilt: float, yaw: float, seed: int, lumps: tuple) -> None:
+def test_bars_at_their_place_are_measured_there(
+    tilt: float, yaw: float, seed: int, lumps: tuple
+) -> None:
     screen = replace(WIDE, tilt=tilt, yaw=yaw, seed=seed, lumps=lumps)
     found = measured(seen(screen), screen.plane)
     assert abs(found.offset_m) < 0.002
@@ -73,7 +82,9 @@ def test_bars_at_their_place_are_measured_there(tilt: float, yaw: float, seed: i
 
 @given(st.floats(-0.4, 0.4), st.floats(-0.4, 0.4), st.floats(-0.4, 0.4), st.floats(0, np.pi))
 @settings(max_examples=15, deadline=None)
-def test_a_planted_field_is_measured_and_taken_off(constant: float, along_x: float, along_y: float, yaw: float) -> None:
+def test_a_planted_field_is_measured_and_taken_off(
+    constant: float, along_x: float, along_y: float, yaw: float
+) -> None:
     screen = replace(WIDE, yaw=yaw, lumps=LUMPS)
     sound, coefficients = seen(screen), np.array([constant, along_x, along_y])
     faulty = planted(sound, coefficients)
@@ -93,7 +104,8 @@ def test_a_wrong_baseline_shows_as_bars_that_are_nearer_or_farther(factor: float
     told = [reason.code for reason in bar_doubts(found, OPENING, HEALTH)]
     assert told == (
         ["SCREEN_MOVED"]
-        if abs(1 - factor) * DISTANCE > max(HEALTH.max_bar_shift * OPENING, HEALTH.max_bar_shift_px * found.px_m)
+        if abs(1 - factor) * DISTANCE
+        > max(HEALTH.max_bar_shift * OPENING, HEALTH.max_bar_shift_px * found.px_m)
         else []
     )
     depth = wrong.depth(corrected(disparity, found, wrong).values)
@@ -165,5 +177,9 @@ def test_a_lump_on_the_comb_or_in_a_doubtful_row_is_no_target() -> None:
         ["IN_BAD_ROWS"],
         ["TOO_STEEP"],
     ]
-    assert without_doubtful(plans, [long] * 5, OreMap(labels), disparity, grizzly, None) == tuple(plans)
-    assert without_doubtful(plans, [short] * 5, OreMap(labels), disparity, grizzly, parts)[2].strikes
+    assert without_doubtful(plans, [long] * 5, OreMap(labels), disparity, grizzly, None) == tuple(
+        plans
+    )
+    assert without_doubtful(plans, [short] * 5, OreMap(labels), disparity, grizzly, parts)[
+        2
+    ].strikes

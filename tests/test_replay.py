@@ -1,4 +1,5 @@
-"""Recorded results to the arm's side: same messages, at the recorded pace, always marked as a replay."""
+"""Recorded results to the arm's side: same messages, at the recorded pace, always marked as a
+replay."""
 
 import json
 import socket
@@ -25,8 +26,13 @@ def write_run(folder: Path, stamps: list[int | None], part: bool = False) -> Pat
     folder.mkdir(exist_ok=True)
     records = [make_record(index, stamp_ns=stamp) for index, stamp in enumerate(stamps)]
     end = ".part" if part else ""
-    (folder / f"frames.jsonl{end}").write_text("".join(json.dumps(record) + "\n" for record in records))
-    timings = [json.dumps({"frame": record["frame"], "stages_ms": {}, "total_ms": 250.0}) + "\n" for record in records]
+    (folder / f"frames.jsonl{end}").write_text(
+        "".join(json.dumps(record) + "\n" for record in records)
+    )
+    timings = [
+        json.dumps({"frame": record["frame"], "stages_ms": {}, "total_ms": 250.0}) + "\n"
+        for record in records
+    ]
     (folder / f"timings.jsonl{end}").write_text("".join(timings))
     return folder
 
@@ -60,7 +66,11 @@ def test_an_unfinished_run_is_read_up_to_its_last_whole_line(tmp_path):
 
 @pytest.mark.parametrize(
     ("text", "says"),
-    [("{}\n", "line 1 is no record"), ("nonsense\n", "line 1 is no JSON"), ("[]\n", "line 1 is no JSON")],
+    [
+        ("{}\n", "line 1 is no record"),
+        ("nonsense\n", "line 1 is no JSON"),
+        ("[]\n", "line 1 is no JSON"),
+    ],
 )
 def test_lines_that_are_no_records(tmp_path, text, says):
     (tmp_path / "frames.jsonl").write_text(text)
@@ -120,10 +130,14 @@ def test_the_command_sends_at_the_given_rate_and_withdraws_at_the_end(tmp_path):
     messages = [(at, line) for at, line in received if line["schema"] == "stereo_ore/targets/1"]
     of_frames = [(at, line) for at, line in messages if line["status"] == "ok"]
     assert of_frames[-1][1]["frame"] == "000004"
-    between = (of_frames[-1][0] - of_frames[0][0]) / max(1, of_frames[-1][1]["index"] - of_frames[0][1]["index"])
+    between = (of_frames[-1][0] - of_frames[0][0]) / max(
+        1, of_frames[-1][1]["index"] - of_frames[0][1]["index"]
+    )
     assert between == pytest.approx(0.2, abs=0.08)
     withdrawn_at, withdrawn = messages[len(of_frames)]
     assert not withdrawn["valid"]
-    assert withdrawn_at - of_frames[-1][0] == pytest.approx(1.0, abs=0.3), "the last targets run out as they would have"
+    assert withdrawn_at - of_frames[-1][0] == pytest.approx(1.0, abs=0.3), (
+        "the last targets run out as they would have"
+    )
     assert messages[-1][1]["status"] == "stopped"
     assert all(line["replay"] for _, line in messages)

@@ -1,4 +1,5 @@
-"""report.html: whole in one file, safe against what names contain, small, and right in a real browser."""
+"""report.html: whole in one file, safe against what names contain, small, and right in a real
+browser."""
 
 import base64
 import json
@@ -74,7 +75,9 @@ def test_one_file_that_needs_nothing_else(folder: Path, report: Page) -> None:
 def test_frames_counts_and_reasons(report: Page) -> None:
     data = report.data
     assert data["statuses"] == {"ok": 2, "failed": 1}
-    assert [(row["frame"], row["ores"], row["oversize"], row["targets"]) for row in data["frames"]] == [
+    assert [
+        (row["frame"], row["ores"], row["oversize"], row["targets"]) for row in data["frames"]
+    ] == [
         ("000000", 2, 1, 2),
         ("000001", 1, 1, 0),
         ("000002", 0, 0, 0),
@@ -85,7 +88,11 @@ def test_frames_counts_and_reasons(report: Page) -> None:
         ("frame", "UNPAIRED", 1),
         ("ore", "TOO_STEEP", 1),
     }
-    assert data["sizes"] == {"place": [0, 0, 1], "middle_m": [0.2, 0.2, 0.2], "oversize": [True, False, True]}
+    assert data["sizes"] == {
+        "place": [0, 0, 1],
+        "middle_m": [0.2, 0.2, 0.2],
+        "oversize": [True, False, True],
+    }
     assert data["timings"] == {"read": 9.0, "match": 100.0}
     assert "format: stereo_ore/site" in data["files"]["site.yaml"]
     assert data["opening_m"] > 0
@@ -98,7 +105,9 @@ def test_detail_of_a_frame(report: Page) -> None:
     assert sum(detail["scores"]["kept"]) == 500
     assert sum(detail["scores"]["removed"]) == 100
     assert detail["overlay"].startswith("data:image/jpeg;base64,")
-    picture = cv2.imdecode(np.frombuffer(base64.b64decode(detail["overlay"].split(",")[1]), np.uint8), cv2.IMREAD_COLOR)
+    picture = cv2.imdecode(
+        np.frombuffer(base64.b64decode(detail["overlay"].split(",")[1]), np.uint8), cv2.IMREAD_COLOR
+    )
     assert np.abs(picture.reshape(-1, 3).mean(0) - (30, 90, 200)).max() < 4
     failed = report.data["details"]["2"]
     assert failed["overlay"] is None
@@ -111,12 +120,16 @@ def test_points_survive_packing() -> None:
     assert (packed["count"], packed["of"]) == (100, 500)
     xyz = np.frombuffer(base64.b64decode(packed["xyz_mm"]), "<i2").reshape(-1, 3) / 1000
     np.testing.assert_allclose(xyz, clouds.xyz(table[::5]), atol=0.00051)
-    np.testing.assert_array_equal(np.frombuffer(base64.b64decode(packed["ore"]), "<u2"), table["ore_id"][::5])
+    np.testing.assert_array_equal(
+        np.frombuffer(base64.b64decode(packed["ore"]), "<u2"), table["ore_id"][::5]
+    )
 
 
 def test_noise_map_is_the_formula_where_there_are_points() -> None:
     rig = Rig(960, 540, 500.0, 500.0, 480.0, 270.0, 0.12)
-    xyz = np.array([[0.0, 0.0, 2.0], [0.01, 0.0, 2.0], [0.4, 0.2, 1.0], [9.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
+    xyz = np.array(
+        [[0.0, 0.0, 2.0], [0.01, 0.0, 2.0], [0.4, 0.2, 1.0], [9.0, 0.0, 1.0], [0.0, 0.0, -1.0]]
+    )
     noise = cloud_view.noise_map(xyz, rig, 0.2)
     grid = np.array(noise["mm"], float)
     assert grid.shape == (54, 96)
@@ -151,7 +164,9 @@ def test_hostile_names_stay_text(tmp_path: Path) -> None:
 
 
 def test_thousands_of_frames_stay_small_and_quick(tmp_path: Path) -> None:
-    folder = make_run(tmp_path / "run", [record(n, [ore(i) for i in range(1, 9)]) for n in range(4000)])
+    folder = make_run(
+        tmp_path / "run", [record(n, [ore(i) for i in range(1, 9)]) for n in range(4000)]
+    )
     start = time.process_time()
     html = Page(write_report(folder))
     assert time.process_time() - start < 15
@@ -209,11 +224,15 @@ def test_what_is_no_run(content: str, message: str, tmp_path: Path) -> None:
 
 
 def test_command(folder: Path) -> None:
-    done = subprocess.run(["stereo-ore", "report", folder], capture_output=True, text=True, timeout=60)
+    done = subprocess.run(
+        ["stereo-ore", "report", folder], capture_output=True, text=True, timeout=60
+    )
     assert (done.returncode, done.stdout.strip()) == (0, str(folder / "report.html"))
 
 
-def test_run_checks_the_calibration_and_writes_the_report_unless_told_not_to(tmp_path: Path) -> None:
+def test_run_checks_the_calibration_and_writes_the_report_unless_told_not_to(
+    tmp_path: Path,
+) -> None:
     files, out = quarter_scene(tmp_path / "scene"), tmp_path / "out"
 
     def run(*more: str) -> None:
@@ -234,9 +253,9 @@ def test_run_checks_the_calibration_and_writes_the_report_unless_told_not_to(tmp
 
 def test_no_heavy_package_is_imported(folder: Path) -> None:
     code = (
-        "import sys; from pathlib import Path; from stereo_ore.report import write_report\n"
-        f"write_report(Path({str(folder)!r}))\n"
-        "print([name for name in ('plotly', 'open3d', 'sklearn', 'matplotlib', 'pandas') if name in sys.modules])"
+        "import sys; from pathlib import Path; from stereo_ore.report import"
+        f" write_report\nwrite_report(Path({str(folder)!r}))\nprint([name for name in ('plotly',"
+        " 'open3d', 'sklearn', 'matplotlib', 'pandas') if name in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert done.stdout.strip() == "[]", done.stderr
@@ -258,7 +277,8 @@ const wait = setInterval(() => {
   const rows = id => [...document.querySelectorAll(`#${id} tbody tr`)];
   const column = (id, number) => rows(id).map(row => row.children[number].textContent);
   const press = (id, number) => document.querySelectorAll(`#${id} thead button`)[number].click();
-  const found = { frames: [], ores: column("ores", 0), title: document.querySelector("#frame-title").textContent };
+  const found = { frames: [], ores: column("ores", 0),
+                  title: document.querySelector("#frame-title").textContent };
   for (let i = 0; i < 2; i++) { press("frames", 3); found.frames.push(column("frames", 1)); }
   press("ores", 1);
   found.by_target = column("ores", 0);
@@ -269,21 +289,25 @@ const wait = setInterval(() => {
     found.cloud = url;
     rows("frames").at(-1).click();
     found.clicked = document.querySelector("#frame-title").textContent;
-    const text = Object.assign(document.createElement("pre"), { id: "found", textContent: JSON.stringify(found) });
+    const content = { id: "found", textContent: JSON.stringify(found) };
+    const text = Object.assign(document.createElement("pre"), content);
     document.body.append(text);
   });
 }, 100);
 </script>
 """
 BROWSER = (
-    "--headless=new", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-    "--window-size=1400,1000", "--enable-logging=stderr", "--timeout=90000", "--virtual-time-budget=60000",
+    "--headless=new", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--window-size=1400,1000", "--enable-logging=stderr", "--timeout=90000",
+    "--virtual-time-budget=60000",
     "--dump-dom",
 )  # fmt: skip
 
 
 def browse(path: Path) -> tuple[dict[str, Any], list[str]]:
-    """What the probe found in the page, and what the console said that is worse than information."""
+    """What the probe found in the page, and what the console said that is worse than
+    information."""
     browser = shutil.which("chromium") or shutil.which("google-chrome")
     if browser is None:
         pytest.skip("no chromium here")
@@ -291,17 +315,30 @@ def browse(path: Path) -> tuple[dict[str, Any], list[str]]:
     probed.write_text(path.read_text().replace("</body>\n</html>", PROBE + "</body></html>"))
     home = f"--user-data-dir={path.parent / 'profile'}"
     done = subprocess.run(
-        [browser, *BROWSER, home, probed.as_uri()], capture_output=True, text=True, timeout=240, check=False
+        [browser, *BROWSER, home, probed.as_uri()],
+        capture_output=True,
+        text=True,
+        timeout=240,
+        check=False,
     )
-    console = [line for line in done.stderr.splitlines() if "CONSOLE" in line and "INFO:CONSOLE" not in line]
+    console = [
+        line
+        for line in done.stderr.splitlines()
+        if "CONSOLE" in line and "INFO:CONSOLE" not in line
+    ]
     assert "Uncaught" not in done.stderr
     match = re.search(r'<pre id="found">(.*?)</pre>', done.stdout, re.DOTALL)
     assert match, done.stderr[-2000:]
-    return json.loads(match[1].replace("&amp;", "&").replace("&lt;", "<").replace("&gt;", ">")), console
+    return (
+        json.loads(match[1].replace("&amp;", "&").replace("&lt;", "<").replace("&gt;", ">")),
+        console,
+    )
 
 
 @pytest.mark.slow
-def test_in_a_browser_the_3d_view_is_drawn_tables_sort_and_nothing_complains(tmp_path: Path) -> None:
+def test_in_a_browser_the_3d_view_is_drawn_tables_sort_and_nothing_complains(
+    tmp_path: Path,
+) -> None:
     folder = make_run(tmp_path / "run")
     found, console = browse(write_report(folder))
     assert console == []
@@ -311,7 +348,9 @@ def test_in_a_browser_the_3d_view_is_drawn_tables_sort_and_nothing_complains(tmp
     assert (found["strip"], found["bars"], found["sizes"]) == (3, 7, 3)
     assert found["clicked"] == "Frame 000002: failed, 0 ores, 0 targets"
     data = base64.b64decode(found["cloud"].split(",")[1])
-    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR).reshape(-1, 3).astype(int)
+    pixels = (
+        cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR).reshape(-1, 3).astype(int)
+    )
     red_box = (np.abs(pixels - (0x28, 0x27, 0xD6)).max(1) < 60).sum()
     ore_blue = (np.abs(pixels - (0xBD, 0x82, 0x31)).max(1) < 40).sum()
     assert red_box > 50
@@ -322,7 +361,10 @@ def test_in_a_browser_the_3d_view_is_drawn_tables_sort_and_nothing_complains(tmp
 def test_in_a_browser_hostile_names_run_no_script(tmp_path: Path) -> None:
     reasons = [{"code": "UNPAIRED", "detail": HOSTILE}]
     folder = make_run(tmp_path / "run")
-    write_lines(folder / "frames.jsonl", [record(0, [ore(1)], reasons=reasons), record(1, [ore(1)], reasons=reasons)])
+    write_lines(
+        folder / "frames.jsonl",
+        [record(0, [ore(1)], reasons=reasons), record(1, [ore(1)], reasons=reasons)],
+    )
     found, console = browse(write_report(folder))
     assert console == []
     assert found["clicked"].startswith("Frame 00000")

@@ -1,4 +1,5 @@
-"""The installed command `stereo-ore run`: layouts, results, resumption, and faults that must not pass in silence."""
+"""The installed command `stereo-ore run`: layouts, results, resumption, and faults that must not
+pass in silence."""
 
 import csv
 import json
@@ -24,7 +25,9 @@ COMPARED = ("frames.jsonl", "ores.csv")
 
 
 def stereo_ore(*arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(["stereo-ore", *map(str, arguments)], capture_output=True, text=True, timeout=120)
+    return subprocess.run(
+        ["stereo-ore", *map(str, arguments)], capture_output=True, text=True, timeout=120
+    )
 
 
 def failure(done: subprocess.CompletedProcess[str], code: int = 1) -> str:
@@ -36,7 +39,8 @@ def failure(done: subprocess.CompletedProcess[str], code: int = 1) -> str:
 
 @pytest.fixture(scope="module")
 def half(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The demo scene at half its size, so that a run takes a second: left.png, right.png, calibration and site."""
+    """The demo scene at half its size, so that a run takes a second: left.png, right.png,
+    calibration and site."""
     folder = tmp_path_factory.mktemp("half")
     smaller_scene(folder, 2)
     return folder
@@ -70,7 +74,9 @@ def records(out: Path) -> list[dict]:
     return [json.loads(line) for line in (out / "frames.jsonl").read_text().splitlines()]
 
 
-def test_every_file_of_the_design_is_written(finished: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+def test_every_file_of_the_design_is_written(
+    finished: tuple[Path, subprocess.CompletedProcess[str]],
+) -> None:
     out, done = finished
     assert done.returncode == 0, done.stderr
     for name in ("000000", "000001", "000003"):
@@ -89,7 +95,9 @@ def test_every_file_of_the_design_is_written(finished: tuple[Path, subprocess.Co
     assert not list(out.rglob("*.part")) + list(out.rglob("*.tmp"))
 
 
-def test_every_record_validates_against_the_schema(finished: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+def test_every_record_validates_against_the_schema(
+    finished: tuple[Path, subprocess.CompletedProcess[str]],
+) -> None:
     import jsonschema
 
     validator = jsonschema.Draft202012Validator(json.loads(SCHEMA.read_text()))
@@ -110,7 +118,9 @@ def test_ores_and_targets_are_found_in_camera_and_arm_frame(
         np.testing.assert_allclose((T @ [*centre["camera"], 1])[:3], centre["arm"], atol=2e-6)
 
 
-def test_an_unpaired_frame_fails_alone_and_by_name(finished: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+def test_an_unpaired_frame_fails_alone_and_by_name(
+    finished: tuple[Path, subprocess.CompletedProcess[str]],
+) -> None:
     out, done = finished
     assert [record["status"] for record in records(out)] == ["ok", "ok", "failed", "ok"]
     failed = records(out)[2]
@@ -120,27 +130,45 @@ def test_an_unpaired_frame_fails_alone_and_by_name(finished: tuple[Path, subproc
     assert "000002" in done.stderr
 
 
-def test_equal_frames_give_equal_ores(finished: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+def test_equal_frames_give_equal_ores(
+    finished: tuple[Path, subprocess.CompletedProcess[str]],
+) -> None:
     first, second, _, _ = records(finished[0])
     assert first["ores"] == second["ores"]
     assert first["targets"] == second["targets"]
 
 
-def test_the_table_has_a_row_an_ore(finished: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+def test_the_table_has_a_row_an_ore(
+    finished: tuple[Path, subprocess.CompletedProcess[str]],
+) -> None:
     out, _ = finished
     with (out / "ores.csv").open() as file:
         rows = list(csv.DictReader(file))
     ores = [(record["frame"], ore) for record in records(out) for ore in record["ores"]]
-    assert [(row["frame"], int(row["id"])) for row in rows] == [(frame, ore["id"]) for frame, ore in ores]
+    assert [(row["frame"], int(row["id"])) for row in rows] == [
+        (frame, ore["id"]) for frame, ore in ores
+    ]
     assert float(rows[0]["cog_arm_z_m"]) == ores[0][1]["centre_of_gravity"]["arm"][2]
 
 
-def test_stage_arrays_have_the_shapes_of_the_design(finished: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+def test_stage_arrays_have_the_shapes_of_the_design(
+    finished: tuple[Path, subprocess.CompletedProcess[str]],
+) -> None:
     stages = np.load(finished[0] / "stages" / "000000.npz")
     m = len(stages["voxel_xyz"])
-    expected = {"disparity": ((360, 640), "float32"), "voxel_xyz": ((m, 3), "float32"), "keep": ((m,), "bool")}
-    expected |= {"score": ((m,), "float32"), "ore_id": ((m,), "int32"), "ore_map": ((360, 640), "int16")}
-    assert {name: (stages[name].shape, str(stages[name].dtype)) for name in stages.files} == expected
+    expected = {
+        "disparity": ((360, 640), "float32"),
+        "voxel_xyz": ((m, 3), "float32"),
+        "keep": ((m,), "bool"),
+    }
+    expected |= {
+        "score": ((m,), "float32"),
+        "ore_id": ((m,), "int32"),
+        "ore_map": ((360, 640), "int16"),
+    }
+    assert {
+        name: (stages[name].shape, str(stages[name].dtype)) for name in stages.files
+    } == expected
     counts = records(finished[0])[0]["counts"]
     assert (counts["voxels"], counts["kept"]) == (m, stages["keep"].sum())
 
@@ -152,13 +180,21 @@ def test_the_cloud_is_readable_and_holds_the_kept_voxels(
 
     cloud = o3d.t.io.read_point_cloud(str(finished[0] / "clouds" / "000000.ply"))
     stages = np.load(finished[0] / "stages" / "000000.npz")
-    np.testing.assert_array_equal(cloud.point.positions.numpy(), stages["voxel_xyz"][stages["keep"]])
-    np.testing.assert_array_equal(cloud.point.ore_id.numpy().ravel(), stages["ore_id"][stages["keep"]])
+    np.testing.assert_array_equal(
+        cloud.point.positions.numpy(), stages["voxel_xyz"][stages["keep"]]
+    )
+    np.testing.assert_array_equal(
+        cloud.point.ore_id.numpy().ravel(), stages["ore_id"][stages["keep"]]
+    )
 
 
 @pytest.mark.parametrize("how", ["workers", "again", "resumed"])
 def test_the_bytes_are_the_same_however_it_was_run(
-    finished: tuple[Path, subprocess.CompletedProcess[str]], half: Path, recording: Path, tmp_path: Path, how: str
+    finished: tuple[Path, subprocess.CompletedProcess[str]],
+    half: Path,
+    recording: Path,
+    tmp_path: Path,
+    how: str,
 ) -> None:
     reference, out = finished[0], tmp_path / "out"
     if how == "resumed":
@@ -176,13 +212,28 @@ def test_the_bytes_are_the_same_however_it_was_run(
     assert done.returncode == 0, done.stderr
     names = [
         *COMPARED,
-        *(str(file.relative_to(reference)) for kind in ("clouds", "overlays") for file in (reference / kind).iterdir()),
+        *(
+            str(file.relative_to(reference))
+            for kind in ("clouds", "overlays")
+            for file in (reference / kind).iterdir()
+        ),
     ]
-    assert [name for name in names if (out / name).read_bytes() != (reference / name).read_bytes()] == []
+    assert [
+        name for name in names if (out / name).read_bytes() != (reference / name).read_bytes()
+    ] == []
 
 
 def test_workers_end_with_a_run_that_is_killed(half: Path, recording: Path, tmp_path: Path) -> None:
-    command = ["stereo-ore", "run", recording, *files(half), "--out", tmp_path / "out", "--workers", "2"]
+    command = [
+        "stereo-ore",
+        "run",
+        recording,
+        *files(half),
+        "--out",
+        tmp_path / "out",
+        "--workers",
+        "2",
+    ]
     with subprocess.Popen([str(word) for word in command], stderr=subprocess.PIPE) as run:
         time.sleep(3)
         run.kill()
@@ -191,12 +242,19 @@ def test_workers_end_with_a_run_that_is_killed(half: Path, recording: Path, tmp_
 
 
 def test_start_stop_every_select_frames(half: Path, recording: Path, tmp_path: Path) -> None:
-    done = stereo_ore("run", recording, *files(half), "--out", tmp_path, "--start", 1, "--stop", 4, "--every", 2)
+    done = stereo_ore(
+        "run", recording, *files(half), "--out", tmp_path, "--start", 1, "--stop", 4, "--every", 2
+    )
     assert done.returncode == 0, done.stderr
-    assert [(record["frame"], record["index"]) for record in records(tmp_path)] == [("000001", 1), ("000003", 3)]
+    assert [(record["frame"], record["index"]) for record in records(tmp_path)] == [
+        ("000001", 1),
+        ("000003", 3),
+    ]
 
 
-def test_strict_stops_at_the_first_failed_frame(half: Path, recording: Path, tmp_path: Path) -> None:
+def test_strict_stops_at_the_first_failed_frame(
+    half: Path, recording: Path, tmp_path: Path
+) -> None:
     line = failure(stereo_ore("run", recording, *files(half), "--out", tmp_path, "--strict"))
     assert "000002" in line
     assert not (tmp_path / "frames.jsonl").exists()
@@ -220,7 +278,14 @@ def test_a_configured_run_repeats_from_its_own_folder(half: Path, tmp_path: Path
     first, second = tmp_path / "first", tmp_path / "second"
     setting = ["--set", "strike.alternates=1", "--set", "filter.method=statistical"]
     assert stereo_ore("run", half, *files(half), "--out", first, *setting).returncode == 0
-    repeat = ["--calib", first / "calibration.yaml", "--site", first / "site.yaml", "--config", first / "config.yaml"]
+    repeat = [
+        "--calib",
+        first / "calibration.yaml",
+        "--site",
+        first / "site.yaml",
+        "--config",
+        first / "config.yaml",
+    ]
     assert stereo_ore("run", half, *repeat, "--out", second).returncode == 0
     for name in COMPARED:
         assert (first / name).read_bytes() == (second / name).read_bytes()
@@ -230,7 +295,9 @@ def test_a_run_that_is_there_already_is_not_begun_anew_unasked(half: Path, tmp_p
     command = ["run", half, *files(half), "--out", tmp_path, "--no-report"]
     assert stereo_ore(*command).returncode == 0
     before = (tmp_path / "frames.jsonl").read_bytes()
-    assert "Give --resume to go on with it, or --overwrite to begin anew" in failure(stereo_ore(*command))
+    assert "Give --resume to go on with it, or --overwrite to begin anew" in failure(
+        stereo_ore(*command)
+    )
     assert (tmp_path / "frames.jsonl").read_bytes() == before
     for option in ("--resume", "--overwrite"):
         assert stereo_ore(*command, option).returncode == 0
@@ -245,11 +312,16 @@ def test_another_run_is_not_overwritten_unasked(half: Path, tmp_path: Path) -> N
     assert "--overwrite" in line
     assert (tmp_path / "frames.jsonl").read_bytes() == before
     assert "--overwrite" in failure(stereo_ore(*other, "--resume"))
-    assert stereo_ore(*other, "--overwrite").returncode in (0, 3), "without a site no screen may be found"
+    assert stereo_ore(*other, "--overwrite").returncode in (
+        0,
+        3,
+    ), "without a site no screen may be found"
     assert (tmp_path / "frames.jsonl").read_bytes() != before
 
 
-def test_images_of_another_size_than_the_calibration_name_both_sizes(half: Path, tmp_path: Path) -> None:
+def test_images_of_another_size_than_the_calibration_name_both_sizes(
+    half: Path, tmp_path: Path
+) -> None:
     line = failure(stereo_ore("run", SCENE, *files(half), "--out", tmp_path / "out"), 3)
     assert line.startswith("error: no frame is usable; the first: ")
     assert "1280" in line
@@ -271,10 +343,14 @@ def test_a_first_frame_of_another_size_fails_alone(half: Path, tmp_path: Path) -
     [
         (["absent", "--calib", "calibration.yaml", "--out", "out"], "absent"),
         ([".", "--calib", "absent.yaml", "--out", "out"], "absent.yaml"),
-        ([".", "--calib", "calibration.yaml", "--site", "absent.yaml", "--out", "out"], "absent.yaml"),
-        ([".", "--calib", "calibration.yaml", "--set", "strike.alternate=1", "--out", "out"], "mean alternates?"),
-        ([".", "--calib", "calibration.yaml", "--set", "filter.method=adaptve", "--out", "out"], "adaptive"),
-        ([".", "--calib", "calibration.yaml", "--start", "5", "--out", "out"], "none of them selected"),
+        ([".", "--calib", "calibration.yaml", "--site", "absent.yaml", "--out", "out"],
+        "absent.yaml"),
+        ([".", "--calib", "calibration.yaml", "--set", "strike.alternate=1", "--out", "out"],
+        "mean alternates?"),
+        ([".", "--calib", "calibration.yaml", "--set", "filter.method=adaptve", "--out", "out"],
+        "adaptive"),
+        ([".", "--calib", "calibration.yaml", "--start", "5", "--out", "out"],
+        "none of them selected"),
         ([".", "--calib", "calibration.yaml", "--out", "calibration.yaml"], "calibration.yaml"),
     ],
 )  # fmt: skip
@@ -302,7 +378,9 @@ def test_wrong_usage_is_exit_code_2(arguments: list[str]) -> None:
     assert "Traceback" not in done.stderr
 
 
-def test_a_scene_that_looks_elsewhere_is_empty_or_refused_never_a_target(half: Path, tmp_path: Path) -> None:
+def test_a_scene_that_looks_elsewhere_is_empty_or_refused_never_a_target(
+    half: Path, tmp_path: Path
+) -> None:
     text = (half / "site.yaml").read_text()
     assert "working_volume:" in text
     before, _, after = text.partition("working_volume:")
@@ -310,7 +388,9 @@ def test_a_scene_that_looks_elsewhere_is_empty_or_refused_never_a_target(half: P
     away = "\n  frame: camera\n  min_m: [50, 50, 1]\n  max_m: [51, 51, 2]\n"
     (tmp_path / "site.yaml").write_text(f"{before}working_volume:{away}grizzly:{rest}")
     site = ["--site", tmp_path / "site.yaml", "--out", tmp_path / "out"]
-    assert "working" in failure(stereo_ore("run", half, "--calib", half / "calibration.yaml", *site))
+    assert "working" in failure(
+        stereo_ore("run", half, "--calib", half / "calibration.yaml", *site)
+    )
 
 
 def test_the_written_calibration_is_the_one_that_was_read(
@@ -320,15 +400,21 @@ def test_the_written_calibration_is_the_one_that_was_read(
 
 
 def test_clouds_and_overlays_can_be_left_out(half: Path, tmp_path: Path) -> None:
-    done = stereo_ore("run", half, *files(half), "--out", tmp_path, "--no-clouds", "--no-overlays", "--no-report")
+    done = stereo_ore(
+        "run", half, *files(half), "--out", tmp_path, "--no-clouds", "--no-overlays", "--no-report"
+    )
     assert done.returncode == 0, done.stderr
-    assert sorted(path.suffix for path in tmp_path.rglob("*") if path.suffix in (".ply", ".png")) == []
+    assert (
+        sorted(path.suffix for path in tmp_path.rglob("*") if path.suffix in (".ply", ".png")) == []
+    )
     assert records(tmp_path)[0]["targets"]
 
 
 def test_pictures_are_written_when_asked_for(half: Path, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
-    done = stereo_ore("run", half, *files(half), "--out", tmp_path / "out", "--pictures", "--no-report")
+    done = stereo_ore(
+        "run", half, *files(half), "--out", tmp_path / "out", "--pictures", "--no-report"
+    )
     assert done.returncode == 0, done.stderr
     (picture,) = (tmp_path / "out" / "pictures").iterdir()
     assert picture.stem == records(tmp_path / "out")[0]["frame"]
@@ -340,7 +426,12 @@ def test_pictures_without_matplotlib_are_refused_before_the_run(
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(SystemExit) as stop:
-        launch([str(word) for word in ("run", half, *files(half), "--out", tmp_path / "out", "--pictures")])
+        launch(
+            [
+                str(word)
+                for word in ("run", half, *files(half), "--out", tmp_path / "out", "--pictures")
+            ]
+        )
     assert stop.value.code == 1
     assert "stereo-ore[pictures]" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

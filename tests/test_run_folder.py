@@ -16,7 +16,9 @@ DESCRIPTION = {"schema": "stereo_ore/run/1", "source": "recording"}
 
 def frame(index: int) -> FrameLines:
     record = {"frame": f"{index:06d}", "targets": [], "ores": []}
-    return FrameLines(json.dumps(record), json.dumps({"frame": index}), json.dumps({"frame": index, "files": {}}))
+    return FrameLines(
+        json.dumps(record), json.dumps({"frame": index}), json.dumps({"frame": index, "files": {}})
+    )
 
 
 def fill(folder: Path, indices: range, *, resume: bool = False, finish: bool = True) -> None:
@@ -35,7 +37,9 @@ def test_an_unfinished_run_has_no_final_files(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("cut", range(0, 260, 13))
 @pytest.mark.parametrize("torn", LINES)
-def test_a_run_torn_at_any_byte_of_any_file_resumes_to_the_same(tmp_path: Path, cut: int, torn: str) -> None:
+def test_a_run_torn_at_any_byte_of_any_file_resumes_to_the_same(
+    tmp_path: Path, cut: int, torn: str
+) -> None:
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     fill(whole, range(5))
     fill(killed, range(4), finish=False)
@@ -83,10 +87,15 @@ def test_overwriting_removes_the_other_run_s_files_only(tmp_path: Path) -> None:
     (tmp_path / "clouds" / "old.ply").write_text("")
     (tmp_path / "notes.txt").write_text("mine")
     RunFolder(tmp_path, {**DESCRIPTION, "source": "other"}, resume=False, overwrite=True)
-    assert sorted(file.name for file in tmp_path.rglob("*") if file.is_file()) == ["notes.txt", "run.json"]
+    assert sorted(file.name for file in tmp_path.rglob("*") if file.is_file()) == [
+        "notes.txt",
+        "run.json",
+    ]
 
 
-@pytest.mark.parametrize("name", ["overlays", "clouds", "frames.jsonl", "frames.jsonl.part", "run.json"])
+@pytest.mark.parametrize(
+    "name", ["overlays", "clouds", "frames.jsonl", "frames.jsonl.part", "run.json"]
+)
 def test_a_link_in_the_folder_is_not_followed(name: str, tmp_path: Path) -> None:
     fill(tmp_path / "out", range(2))
     foreign = tmp_path / "foreign"
@@ -118,7 +127,9 @@ def test_the_digest_does_not_depend_on_the_order_of_keys() -> None:
     assert digest({"a": 1, "b": 2}) == digest({"b": 2, "a": 1}) != digest({"a": 2, "b": 1})
 
 
-def test_a_full_disk_is_an_error_and_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_an_error_and_leaves_the_old_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "frames.jsonl"
     write_text(path, "old")
 
@@ -139,7 +150,9 @@ def test_a_file_where_a_folder_should_be_is_an_error(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "arguments", [["tune"], ["bench", "filter", "--out"], ["bench", "stereo", "data", "--out"]], ids=" ".join
+    "arguments",
+    [["tune"], ["bench", "filter", "--out"], ["bench", "stereo", "data", "--out"]],
+    ids=" ".join,
 )
 def test_a_folder_that_cannot_be_made_is_refused_before_the_work(
     arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]

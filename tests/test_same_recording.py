@@ -1,4 +1,5 @@
-"""Twenty frames written in every form that keeps all pixels: each reads as the same frames in the same order."""
+"""Twenty frames written in every form that keeps all pixels: each reads as the same frames in the
+same order."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -21,7 +22,9 @@ STAMPS = [START + n * PERIOD for n in range(COUNT)]
 
 
 def picture(number: int, eye: int) -> np.ndarray:
-    noise = np.random.default_rng([number, eye]).integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)
+    noise = np.random.default_rng([number, eye]).integers(
+        0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8
+    )
     return cv2.GaussianBlur(noise, (5, 5), 1)
 
 
@@ -88,7 +91,9 @@ def compressed_bag(mode: str) -> Callable[[Path], Path]:
         writer.set_compression(CompressionMode[mode], CompressionFormat.ZSTD)
         with writer as opened:
             kind = "sensor_msgs/msg/Image"
-            connections = {topic: opened.add_connection(topic, kind, typestore=store) for topic in TOPICS}
+            connections = {
+                topic: opened.add_connection(topic, kind, typestore=store) for topic in TOPICS
+            }
             for shot in shots():
                 data = store.serialize_cdr(image_message(store, shot, "bgr8", first=False), kind)
                 opened.write(connections[shot.topic], shot.logged_ns, data)

@@ -22,7 +22,9 @@ def frame(view: View) -> FrameResult:
         Ore(i, 100, 100, False, np.zeros(3), solid, plan)
         for i, (solid, plan) in enumerate(zip(found, struck, strict=True), 1)
     )
-    return FrameResult("000001", 0, None, "ok", (), {}, view.grizzly, ores, (1,), surface=view.surface)
+    return FrameResult(
+        "000001", 0, None, "ok", (), {}, view.grizzly, ores, (1,), surface=view.surface
+    )
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +67,9 @@ def test_frames_that_stopped_early(result: FrameResult) -> None:
     assert draw(without) is not None
 
 
-def test_without_matplotlib_one_line_says_what_to_install(result: FrameResult, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_matplotlib_one_line_says_what_to_install(
+    result: FrameResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(MissingExtraError, match="matplotlib"):
         draw(result)

@@ -1,4 +1,5 @@
-"""What the command opens and what it tells: no port unasked, this machine only, no password anywhere."""
+"""What the command opens and what it tells: no port unasked, this machine only, no password
+anywhere."""
 
 import os
 import re
@@ -61,7 +62,15 @@ def test_a_run_opens_no_socket(scene: Path, tmp_path: Path) -> None:
     for index in range(4):
         for eye in ("left", "right"):
             shutil.copy(scene / f"{eye}.png", recording / f"{eye}{index}.png")
-    command = ["stereo-ore", "-q", "run", str(recording), *files(scene), "--out", str(tmp_path / "out")]
+    command = [
+        "stereo-ore",
+        "-q",
+        "run",
+        str(recording),
+        *files(scene),
+        "--out",
+        str(tmp_path / "out"),
+    ]
     seen, looks = set(), 0
     with subprocess.Popen([*command, "--workers", "2"], stdout=subprocess.DEVNULL) as process:
         while process.poll() is None:
@@ -78,8 +87,21 @@ def serving(scene: Path, folder: Path, *more: str) -> Iterator[tuple[subprocess.
     """The real `serve` on a folder with one frame; stopped at the end."""
     inbox = folder / "inbox"
     inbox.mkdir()
-    command = ["stereo-ore", "-v", "serve", "--watch", str(inbox), *files(scene), "--out", str(folder / "out"), *more]
-    with (folder / "log").open("w") as log, subprocess.Popen(command, stdout=log, stderr=log, text=True) as process:
+    command = [
+        "stereo-ore",
+        "-v",
+        "serve",
+        "--watch",
+        str(inbox),
+        *files(scene),
+        "--out",
+        str(folder / "out"),
+        *more,
+    ]
+    with (
+        (folder / "log").open("w") as log,
+        subprocess.Popen(command, stdout=log, stderr=log, text=True) as process,
+    ):
         for eye in ("left", "right"):
             shutil.copy(scene / f"{eye}.png", inbox / f"{eye}0.png")
         try:
@@ -132,11 +154,14 @@ def test_no_password_is_written_or_logged(scene: Path, tmp_path: Path) -> None:
     users.chmod(0o600)
     port = free_port()
     (tmp_path / "sinks.yaml").write_text(
-        f"opcua: {{port: {port}, certificate: {certificate.name}, private_key: {key.name}, users: users}}\n"
-        f"mqtt: {{port: {free_port()}, users: users}}\n"
+        f"opcua: {{port: {port}, certificate: {certificate.name}, private_key: {key.name}, users:"
+        f" users}}\nmqtt: {{port: {free_port()}, users: users}}\n"
     )
     url = f"opc.tcp://127.0.0.1:{port}/stereo-ore"
-    with serving(scene, tmp_path, "--sinks", str(tmp_path / "sinks.yaml"), "--page", "0") as (_, log):
+    with serving(scene, tmp_path, "--sinks", str(tmp_path / "sinks.yaml"), "--page", "0") as (
+        _,
+        log,
+    ):
         with secured_client(url, mine, my_key, "arm", SECRET) as connection:
             assert connection.nodes.objects.get_children()
         with pytest.raises(ua.UaError), secured_client(url, mine, my_key, "arm", WRONG):
@@ -155,7 +180,9 @@ def test_no_password_is_written_or_logged(scene: Path, tmp_path: Path) -> None:
         assert WRONG.encode() not in data, file
 
 
-@pytest.mark.parametrize("text", [f"mqtt: {{password: {SECRET}}}", f"opcua: {{users: {{arm: {SECRET}}}}}"])
+@pytest.mark.parametrize(
+    "text", [f"mqtt: {{password: {SECRET}}}", f"opcua: {{users: {{arm: {SECRET}}}}}"]
+)
 def test_a_password_in_the_wrong_place_is_not_repeated(text: str, tmp_path: Path) -> None:
     file = tmp_path / "sinks.yaml"
     file.write_text(text)

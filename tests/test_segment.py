@@ -12,7 +12,13 @@ from stereo_ore.lab import synth
 from stereo_ore.stages import grizzly, segment
 from stereo_ore.stages.segment.cores import LEVEL_RATIO, cores
 from stereo_ore.stages.segment.evidence import EDGE_VARIANCE, ore_mask
-from stereo_ore.stages.segment.pixels import PIXEL_FEATURES, Sight, candidates, ore_probability, pixel_features
+from stereo_ore.stages.segment.pixels import (
+    PIXEL_FEATURES,
+    Sight,
+    candidates,
+    ore_probability,
+    pixel_features,
+)
 from stereo_ore.stages.segment.relief import fill_occlusions
 from stereo_ore.stages.segment.split import smooth_relief, valley_depth
 from stereo_ore.stages.segment.weights import PART_FEATURES, Logistic, Weights, load
@@ -39,14 +45,22 @@ def overlaps(found: np.ndarray, truth: np.ndarray) -> list[float]:
     for lump in range(1, truth.max() + 1):
         mine = truth == lump
         ids = [i for i in np.unique(found[mine]) if i]
-        out.append(max(((found == i) & mine).sum() / ((found == i) | mine).sum() for i in ids) if ids else 0.0)
+        out.append(
+            max(((found == i) & mine).sum() / ((found == i) | mine).sum() for i in ids)
+            if ids
+            else 0.0
+        )
     return out
 
 
-@given(st.floats(-0.3, 0.3), st.floats(0, np.pi), st.integers(0, 100), st.sampled_from([0.05, 0.15]))
+@given(
+    st.floats(-0.3, 0.3), st.floats(0, np.pi), st.integers(0, 100), st.sampled_from([0.05, 0.15])
+)
 @settings(max_examples=12, deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate])
 def test_outlines_of_lumps_that_lie_apart(tilt, yaw, seed, noise):
-    ores, truth = segmented(Screen(tilt=tilt, yaw=yaw, lumps=APART, half=0.6, noise_px=noise, seed=seed))
+    ores, truth = segmented(
+        Screen(tilt=tilt, yaw=yaw, lumps=APART, half=0.6, noise_px=noise, seed=seed)
+    )
     assert ores.labels.max() == 3
     assert min(overlaps(ores.labels, truth)) > 0.85
 
@@ -62,7 +76,9 @@ def test_a_heap_is_split_into_its_lumps(noise, seed):
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("frame", [0.0, 0.03])
 def test_an_empty_screen_has_no_ore(seed, frame):
-    screen = Screen(tilt=0.1, yaw=0.2 * seed, half=0.5, rim=0.08, frame_height=frame, noise_px=0.2, seed=seed)
+    screen = Screen(
+        tilt=0.1, yaw=0.2 * seed, half=0.5, rim=0.08, frame_height=frame, noise_px=0.2, seed=seed
+    )
     assert segmented(screen)[0].labels.max() == 0
 
 
@@ -138,7 +154,14 @@ def test_a_crop_is_laid_where_it_was_cut_out():
     surface, _ = draw(screen)
     whole = segment.segment(surface, screen_of(screen, surface), None, CONFIG).labels
     part = np.s_[20:, 30:]
-    cropped = Surface(surface.xyz[part].copy(), surface.bgr[part].copy(), surface.sigma_z[part].copy(), 30, 20, RIG)
+    cropped = Surface(
+        surface.xyz[part].copy(),
+        surface.bgr[part].copy(),
+        surface.sigma_z[part].copy(),
+        30,
+        20,
+        RIG,
+    )
     labels = segment.segment(cropped, screen_of(screen, surface), None, CONFIG).labels
     assert ((labels > 0) != (whole > 0)).mean() < 0.005
 
@@ -161,7 +184,12 @@ def test_what_is_small_or_cut_must_be_likelier_a_lump():
     of_small, of_large = found(surface, config)
     assert of_small == 0 < 0.8 < of_large
     middle = int(np.nonzero(truth == 2)[1].mean())
-    cut = Surface(*(image[:, :middle].copy() for image in (surface.xyz, surface.bgr, surface.sigma_z)), 0, 0, RIG)
+    cut = Surface(
+        *(image[:, :middle].copy() for image in (surface.xyz, surface.bgr, surface.sigma_z)),
+        0,
+        0,
+        RIG,
+    )
     assert found(cut, CONFIG)[1] == 0 < 0.8 < found(cut, CONFIG)[0]
 
 
@@ -182,7 +210,15 @@ def test_same_bits_for_any_number_of_threads_and_nothing_changed():
 def test_the_lumps_of_a_synth_scene(synth_scene: synth.Scene):
     K, truth = synth_scene.rectified.K, synth_scene.instance
     height, width = truth.shape
-    rig = Rig(width, height, K[0, 0], K[1, 1], K[0, 2], K[1, 2], synth_scene.rectified.focal_baseline / K[0, 0])
+    rig = Rig(
+        width,
+        height,
+        K[0, 0],
+        K[1, 1],
+        K[0, 2],
+        K[1, 2],
+        synth_scene.rectified.focal_baseline / K[0, 0],
+    )
     v, u = np.mgrid[:height, :width]
     xyz = rig.back_project(u, v, synth_scene.depth_m).astype(np.float32)
     xyz[~synth_scene.site.volume.contains(xyz)] = np.nan
@@ -197,7 +233,9 @@ def test_the_lumps_of_a_synth_scene(synth_scene: synth.Scene):
 def test_a_convex_dome_has_no_valleys_and_two_have_one():
     y, x = np.mgrid[:60, :120].astype(np.float32)
     one = 10 - ((x - 60) ** 2 + (y - 30) ** 2) / 200
-    two = np.maximum(10 - ((x - 35) ** 2 + (y - 30) ** 2) / 100, 10 - ((x - 85) ** 2 + (y - 30) ** 2) / 100)
+    two = np.maximum(
+        10 - ((x - 35) ** 2 + (y - 30) ** 2) / 100, 10 - ((x - 85) ** 2 + (y - 30) ** 2) / 100
+    )
     inner = np.s_[10:-10, 10:-10]
     assert valley_depth(one.astype(np.float32), 8)[inner].max() <= 1e-4
     depth = valley_depth(two.astype(np.float32), 8)[inner]
@@ -217,15 +255,20 @@ def test_a_neck_parts_cores_only_when_it_is_thin(neck, count):
 
 
 def _cores_level_by_level(mask, barrier, ratio, least):
-    """The definition of `cores`: connected sets of one level after another, from the thickest down."""
-    thickness = cv2.distanceTransform(np.pad(mask & ~barrier, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]
+    """The definition of `cores`: connected sets of one level after another, from the thickest
+    down."""
+    thickness = cv2.distanceTransform(np.pad(mask & ~barrier, 1).astype(np.uint8), cv2.DIST_L2, 5)[
+        1:-1, 1:-1
+    ]
     count = int(np.log(thickness.max() / least) / np.log(LEVEL_RATIO)) + 1
     labels, heights, places = np.zeros(mask.shape, np.int32), {}, {}
     for level in least * LEVEL_RATIO ** np.arange(count - 1, -1, -1):
         parts, part = cv2.connectedComponents((thickness > level).astype(np.uint8), connectivity=4)
         for number in range(1, parts):
             here = part == number
-            met = sorted(label for label in heights if labels[places[label]] == label and here[places[label]])
+            met = sorted(
+                label for label in heights if labels[places[label]] == label and here[places[label]]
+            )
             if not met:
                 new = len(heights) + 1
                 places[new] = np.unravel_index(np.where(here, thickness, 0).argmax(), here.shape)
@@ -265,9 +308,14 @@ def test_gaps_at_a_border_and_across_rows_stay():
 @pytest.mark.parametrize("height", [3, 90, 401])
 def test_probability_filtered_in_strips_is_that_of_the_whole_image(height: int):
     rng = np.random.default_rng(height)
-    likely = np.clip(cv2.GaussianBlur(rng.normal(0.5, 30, (height, 120)).astype(np.float32), (0, 0), 5), 0, 1)
+    likely = np.clip(
+        cv2.GaussianBlur(rng.normal(0.5, 30, (height, 120)).astype(np.float32), (0, 0), 5), 0, 1
+    )
     grey = rng.integers(0, 255, likely.shape, np.uint8)
-    whole = cv2.ximgproc.guidedFilter(grey, likely, CONFIG.guide_radius_px, EDGE_VARIANCE) > CONFIG.ore_probability
+    whole = (
+        cv2.ximgproc.guidedFilter(grey, likely, CONFIG.guide_radius_px, EDGE_VARIANCE)
+        > CONFIG.ore_probability
+    )
     opened = cv2.morphologyEx(whole.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     assert height < 50 or opened.any()
     np.testing.assert_array_equal(ore_mask(likely, grey, CONFIG, 0.0), opened > 0)
@@ -302,7 +350,9 @@ def patch(height: float, colour: int, holes: float = 0.0) -> tuple[Sight, np.nda
     relief[square] += height
     relief[square & (rng.random(relief.shape) < holes)] = np.nan
     bgr = np.where(square[..., None], colour, 150) + rng.normal(0, 3, (90, 120, 3))
-    return sight_of(relief, np.ones(relief.shape, bool), np.clip(bgr, 0, 255).astype(np.uint8)), square
+    return sight_of(
+        relief, np.ones(relief.shape, bool), np.clip(bgr, 0, 255).astype(np.uint8)
+    ), square
 
 
 @pytest.mark.parametrize("colour", [40, 150, 240])
@@ -344,7 +394,14 @@ def test_a_view_without_anything_measured_or_without_bars_has_features(what: str
 @pytest.mark.parametrize("evidence", [-1.0, 2.0])
 def test_the_smallest_crops_are_judged(shape: tuple[int, int], evidence: float):
     relief, bgr = np.full(shape, 5.0, np.float32), np.zeros((*shape, 3), np.uint8)
-    sight = Sight(np.full(shape, evidence, np.float32), relief, relief > 9, np.ones_like(relief), bgr, bgr[..., 0])
+    sight = Sight(
+        np.full(shape, evidence, np.float32),
+        relief,
+        relief > 9,
+        np.ones_like(relief),
+        bgr,
+        bgr[..., 0],
+    )
     likely = ore_probability(sight, load().pixel)
     assert likely.shape == shape
     assert likely.all() == (evidence > 0)

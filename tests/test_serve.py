@@ -44,7 +44,8 @@ def test_frames_copied_in_come_out_as_records_and_targets(synth_folder, tmp_path
     inbox, out = tmp_path / "in", tmp_path / "out"
     inbox.mkdir()
     options = [
-        f"--{name}={synth_folder / file}" for name, file in (("calib", "calibration.yaml"), ("site", "site.yaml"))
+        f"--{name}={synth_folder / file}"
+        for name, file in (("calib", "calibration.yaml"), ("site", "site.yaml"))
     ]
     options += ["--set=health.refuse_frozen=false", f"--out={out}", "--valid-for=60"]
     arguments = [*COMMAND, "--watch", str(inbox), *options, "--tcp=0", "--page=0"]
@@ -52,24 +53,38 @@ def test_frames_copied_in_come_out_as_records_and_targets(synth_folder, tmp_path
     def serve(frames: range) -> list[dict[str, Any]]:
         """Messages that a consumer got while the frames were copied in."""
         with subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True) as process:
-            port = next(int(line.rpartition(":")[2]) for line in process.stderr if line.startswith("TCP"))
+            port = next(
+                int(line.rpartition(":")[2]) for line in process.stderr if line.startswith("TCP")
+            )
             threading.Thread(target=process.stderr.read, daemon=True).start()
-            with socket.create_connection(("127.0.0.1", port), timeout=60) as consumer, consumer.makefile() as lines:
+            with (
+                socket.create_connection(("127.0.0.1", port), timeout=60) as consumer,
+                consumer.makefile() as lines,
+            ):
                 for index in frames:
                     for side in ("left", "right"):
                         data = (synth_folder / f"{side}.png").read_bytes()
-                        (inbox / f"{side}{index:03d}.png").write_bytes(data if index != 1 else data[:5000])
-                wait_for(lambda: len(names_in(out / "frames.jsonl.part")) == frames.stop, 60, "records")
+                        (inbox / f"{side}{index:03d}.png").write_bytes(
+                            data if index != 1 else data[:5000]
+                        )
+                wait_for(
+                    lambda: len(names_in(out / "frames.jsonl.part")) == frames.stop, 60, "records"
+                )
                 process.send_signal(signal.SIGTERM)
                 received = [json.loads(line) for line in lines]
             assert process.wait(30) == 0
         return [message for message in received if message["schema"] == "stereo_ore/targets/1"]
 
     first = serve(range(1))
-    # The second start finds the run finished, and goes on in it; a damaged frame between good ones is recorded.
+    # The second start finds the run finished, and goes on in it; a damaged frame between good ones
+    # is recorded.
     second = serve(range(1, 3))
     records = [json.loads(line) for line in (out / "frames.jsonl").read_text().splitlines()]
-    assert [(record["frame"], record["index"]) for record in records] == [("000", 0), ("001", 1), ("002", 2)]
+    assert [(record["frame"], record["index"]) for record in records] == [
+        ("000", 0),
+        ("001", 1),
+        ("002", 2),
+    ]
     assert [record["status"] for record in records] == ["ok", "failed", "ok"]
     assert (out / "overlays" / "002.png").is_file()
     good, stopped = first
@@ -103,18 +118,26 @@ def test_a_fault_of_ours_is_a_failed_frame_and_no_end(tmp_path):
 
     driver = Driver(Chain(), FrameFiles(tmp_path), unattended=True)
     record = json.loads(processing(driver, Watch(HealthConfig()))(frame).record)
-    assert (record["status"], record["reasons"][0]["code"], record["targets"]) == ("failed", "INTERNAL_ERROR", [])
+    assert (record["status"], record["reasons"][0]["code"], record["targets"]) == (
+        "failed",
+        "INTERNAL_ERROR",
+        [],
+    )
 
 
 def test_the_position_is_that_of_the_last_record(tmp_path):
     assert position(tmp_path) == Position(None, 0)
-    lines = [lines_of(LiveFrame(name, index, 0, (), lambda: None)).record for index, name in enumerate("ab")]
+    lines = [
+        lines_of(LiveFrame(name, index, 0, (), lambda: None)).record
+        for index, name in enumerate("ab")
+    ]
     (tmp_path / "frames.jsonl.part").write_text("\n".join(lines) + "\n")
     assert position(tmp_path) == Position("b", 2)
 
 
 class Playback:
-    """A recorded stand-in for a UVC camera: a side-by-side video that ends, as a camera does that is unplugged."""
+    """A recorded stand-in for a UVC camera: a side-by-side video that ends, as a camera does that
+    is unplugged."""
 
     opened = 0
 
@@ -160,7 +183,11 @@ def test_a_camera_delivers_both_eyes_with_stamps(video, stop):
         assert pair.left.shape == pair.right.shape == (48, 64, 3)
         assert np.abs(pair.left.astype(int) - 20 * number).max() <= 4
         assert np.abs(pair.right.astype(int) - 20 * number - 10).max() <= 4
-        assert (frame.index, pair.index, pair.stamp_ns) == (7 + number, 7 + number, frame.arrived_ns)
+        assert (frame.index, pair.index, pair.stamp_ns) == (
+            7 + number,
+            7 + number,
+            frame.arrived_ns,
+        )
         assert 0 <= frame.age_s < 10
     assert "delivers" in camera.state()
 
@@ -215,9 +242,13 @@ def test_a_camera_that_is_not_there(monkeypatch):
         open_camera(97, (1280, 720))
 
 
-@pytest.mark.parametrize("sources", [[], ["--watch", "in", "--camera", "0"], ["x", "--watch", "in"]])
+@pytest.mark.parametrize(
+    "sources", [[], ["--watch", "in", "--camera", "0"], ["x", "--watch", "in"]]
+)
 def test_one_source_and_one_only(synth_folder, tmp_path, sources):
-    result = invoke(*sources, "--calib", synth_folder / "calibration.yaml", "--out", tmp_path / "out")
+    result = invoke(
+        *sources, "--calib", synth_folder / "calibration.yaml", "--out", tmp_path / "out"
+    )
     assert result.exit_code == 2
     assert "give one of" in result.output
 
@@ -238,7 +269,9 @@ def test_help_names_every_consumer():
         assert option in result.output
 
 
-@pytest.mark.parametrize(("option", "module", "extra"), [("--opcua", "asyncua", "opcua"), ("--mqtt", "paho", "mqtt")])
+@pytest.mark.parametrize(
+    ("option", "module", "extra"), [("--opcua", "asyncua", "opcua"), ("--mqtt", "paho", "mqtt")]
+)
 def test_a_missing_extra_is_named(synth_folder, tmp_path, monkeypatch, option, module, extra):
     for name in [name for name in sys.modules if name.partition(".")[0] == module]:
         monkeypatch.delitem(sys.modules, name)

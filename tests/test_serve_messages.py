@@ -28,15 +28,24 @@ def test_the_records_of_these_tests_are_real_ones():
 def test_messages_are_what_their_schema_says():
     schema = json.loads((files("stereo_ore") / "schema" / "targets-1.json").read_text())
     sink = ListSink()
-    with Publisher([sink], valid_for_s=0.1, origin=Origin(transform_id="0123456789ab")) as publisher:
-        for index, changes in enumerate(({}, {"status": "failed"}, {"arm": False}, {"ores": 0}, {"stamp_ns": 10**18})):
+    with Publisher(
+        [sink], valid_for_s=0.1, origin=Origin(transform_id="0123456789ab")
+    ) as publisher:
+        for index, changes in enumerate(
+            ({}, {"status": "failed"}, {"arm": False}, {"ores": 0}, {"stamp_ns": 10**18})
+        ):
             publisher.publish(make_record(index, **changes), age_s=0.0)
         wait_for(lambda: len(sink.messages) == 6, what="expiry")
     for _, made in sink.messages:
         jsonschema.validate(json.loads(made.line()), schema)
     gone = json.loads(offline(Origin("s", replay=True)))
     jsonschema.validate(gone, schema)
-    assert (gone["session"], gone["replay"], gone["sequence"], gone["published_ns"]) == ("s", True, None, None)
+    assert (gone["session"], gone["replay"], gone["sequence"], gone["published_ns"]) == (
+        "s",
+        True,
+        None,
+        None,
+    )
     wrong = json.loads(make_message().line()) | {"valid": False}
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.validate(wrong, schema)
@@ -49,8 +58,18 @@ def test_a_message_carries_targets_in_order_with_unit_and_frame():
     made = message(record, 7, Origin("s", "abc", True), age_s=0.0, valid_for_s=5.0)
     sent = json.loads(made.line())
     assert [target["id"] for target in sent["targets"]] == [3, 1]
-    assert (sent["units"], sent["coordinates"], sent["sequence"], sent["frame"]) == ("m", "arm", 7, "000004")
-    assert (sent["transform_id"], sent["replay"], sent["session"], sent["valid"]) == ("abc", True, "s", True)
+    assert (sent["units"], sent["coordinates"], sent["sequence"], sent["frame"]) == (
+        "m",
+        "arm",
+        7,
+        "000004",
+    )
+    assert (sent["transform_id"], sent["replay"], sent["session"], sent["valid"]) == (
+        "abc",
+        True,
+        "s",
+        True,
+    )
     assert sent["targets"][0]["position_m"] == ores[2]["strike"]["point"]["arm"]
     assert sent["valid_until_ns"] - sent["published_ns"] == pytest.approx(5e9, rel=0.01)
 
@@ -58,7 +77,9 @@ def test_a_message_carries_targets_in_order_with_unit_and_frame():
 @pytest.mark.parametrize("status", ["degraded", "failed", "empty"])
 def test_only_ok_frames_have_targets(status):
     # Even a record that lists targets beside a bad status must not move an arm.
-    made = message(make_record(status="ok") | {"status": status}, 1, Origin(), age_s=0.0, valid_for_s=5.0)
+    made = message(
+        make_record(status="ok") | {"status": status}, 1, Origin(), age_s=0.0, valid_for_s=5.0
+    )
     assert not made.valid
     assert made.targets == ()
     assert made.status == status
@@ -119,14 +140,20 @@ def test_a_shortened_message_has_the_best_targets_and_says_so():
     made = make_message(ores=3)
     assert made.shortened(3) is made
     short = made.shortened(2)
-    assert ([target.id for target in short.targets], short.reasons) == ([1, 2], ("TARGETS_LEFT_OUT",))
+    assert ([target.id for target in short.targets], short.reasons) == (
+        [1, 2],
+        ("TARGETS_LEFT_OUT",),
+    )
 
 
 def test_volume_and_deviations_come_with_a_target():
     record = make_record(ores=2)
     record["ores"][1] |= {"volume_m3": None, "centre_of_gravity": None}
     made = message(record, 1, Origin(), age_s=0.0, valid_for_s=5.0)
-    assert [(t.volume_m3, t.sigma_m) for t in made.targets] == [(0.02, (0.01, 0.01, 0.02)), (None, None)]
+    assert [(t.volume_m3, t.sigma_m) for t in made.targets] == [
+        (0.02, (0.01, 0.01, 0.02)),
+        (None, None),
+    ]
 
 
 def test_transform_id_follows_the_transform():
@@ -159,7 +186,11 @@ def test_targets_expire_by_themselves_within_the_stated_time():
         (published_at, first), (withdrawn_at, second) = sink.messages
         assert first.valid
         assert not second.valid
-        assert (second.status, second.reasons[-1], second.sequence) == ("expired", "EXPIRED", first.sequence + 1)
+        assert (second.status, second.reasons[-1], second.sequence) == (
+            "expired",
+            "EXPIRED",
+            first.sequence + 1,
+        )
         assert 0.15 < withdrawn_at - published_at < 0.6
         assert not publisher.latest.valid
         time.sleep(0.4)

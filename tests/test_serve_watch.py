@@ -44,7 +44,9 @@ def take(source: FolderWatch, count: int, start: Position = Position()) -> list[
 
 
 def collect(source: FolderWatch, names: list, stop: threading.Event) -> threading.Thread:
-    thread = threading.Thread(target=lambda: names.extend(f.name for f in source.frames(Position(), stop)))
+    thread = threading.Thread(
+        target=lambda: names.extend(f.name for f in source.frames(Position(), stop))
+    )
     thread.start()
     return thread
 
@@ -101,7 +103,9 @@ def test_a_format_without_an_end_marker_waits_until_it_has_settled(tmp_path):
     assert time.monotonic() - start > 0.9
 
 
-def test_a_frame_that_stays_incomplete_is_handed_on_as_failed_and_holds_up_only_for_a_while(tmp_path):
+def test_a_frame_that_stays_incomplete_is_handed_on_as_failed_and_holds_up_only_for_a_while(
+    tmp_path,
+):
     put_pair(tmp_path, 1)
     (tmp_path / "left000002.png").write_bytes(picture())
     put_pair(tmp_path, 3)
@@ -213,7 +217,8 @@ def test_a_frame_that_was_copied_with_its_old_times_is_as_old_as_its_arrival(tmp
 
 
 def copy_slowly(folder: Path, count: int, rng: random.Random) -> None:
-    """Copy as tools do: some under the final name from the first byte, some by renaming; the eyes in any order."""
+    """Copy as tools do: some under the final name from the first byte, some by renaming; the eyes
+    in any order."""
     data = picture()
     for index in range(count):
         for side in rng.sample(("left", "right"), 2):

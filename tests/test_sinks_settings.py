@@ -89,7 +89,14 @@ def test_a_file_of_users_that_can_not_be_used(tmp_path, text):
 
 @pytest.mark.parametrize(
     ("host", "loopback"),
-    [("127.0.0.1", True), ("127.3.2.1", True), ("::1", True), ("localhost", True), ("0.0.0.0", False), ("plc", False)],
+    [
+        ("127.0.0.1", True),
+        ("127.3.2.1", True),
+        ("::1", True),
+        ("localhost", True),
+        ("0.0.0.0", False),
+        ("plc", False),
+    ],
 )
 def test_only_this_machine_is_loopback(host, loopback):
     assert is_loopback(host) is loopback

@@ -46,7 +46,9 @@ def test_the_example_is_in_the_camera_frame() -> None:
     origin_of_arm = apply(inverse(site.T_arm_camera), [0.0, 0.0, 0.0])
     assert site.plane.height(origin_of_arm) == pytest.approx(0, abs=1e-9)
     assert site.plane.height([0.0, 0.0, 0.0]) == pytest.approx(2.6)
-    assert site.volume.contains(apply(inverse(site.T_arm_camera), [[0, 0, 0.5], [0, 0, 1.5]])).tolist() == [True, False]
+    assert site.volume.contains(
+        apply(inverse(site.T_arm_camera), [[0, 0, 0.5], [0, 0, 1.5]])
+    ).tolist() == [True, False]
     assert (site.opening_m, site.bar_width_m, site.background) == (0.30, 0.075, None)
 
 
@@ -75,14 +77,18 @@ def test_the_background_stands_beside_the_site_file(tmp_path: Path) -> None:
 number = st.floats(-0.6, 0.6)
 
 
-@settings(deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(turn=st.tuples(number, number, number), offset=st.floats(0.5, 4), arm=st.booleans())
 def test_written_and_read_again_is_the_same(turn, offset: float, arm: bool, tmp_path: Path) -> None:
     T = from_vector(np.array([np.pi - 0.5 + turn[0], turn[1], turn[2], 1.0, -0.5, 3.0]))
     normal = np.array([turn[0], turn[1], -1.0])
     normal /= np.linalg.norm(normal)
     box = (np.array([-5.0, -5, -5]), np.array([5.0, 5, 5]))
-    site = Site(T, Volume(T if arm else np.eye(4), *box), Plane(normal, -offset), 0.3, 0.07, None, *box)
+    site = Site(
+        T, Volume(T if arm else np.eye(4), *box), Plane(normal, -offset), 0.3, 0.07, None, *box
+    )
     save_site(site, tmp_path / "site.yaml", RECORD)
     again = load_site(tmp_path / "site.yaml")
     assert np.array_equal(again.T_arm_camera, T)
@@ -126,17 +132,33 @@ BROKEN = {
     "reflection": ({"arm_from_camera": np.diag([1.0, 1, -1, 1]).tolist()}, "reflection"),
     "last row": ({"arm_from_camera": [*IDENTITY[:3], [0, 0, 1, 1]]}, "last row"),
     "three rows": ({"arm_from_camera": IDENTITY[:3]}, "arm_from_camera"),
-    "millimetres": ({"arm_from_camera": [[1, 0, 0, 400], [0, 1, 0, 0], [0, 0, 1, 2600], [0, 0, 0, 1]]}, "millimetres"),
+    "millimetres": (
+        {"arm_from_camera": [[1, 0, 0, 400], [0, 1, 0, 0], [0, 0, 1, 2600], [0, 0, 0, 1]]},
+        "millimetres",
+    ),
     "not a number": ({"arm_from_camera": [[float("nan"), 0, 0, 0], *IDENTITY[1:]]}, "finite"),
     "empty box": ({"working_volume__min_m": [2, 0, 0]}, "less than"),
     "unknown frame": ({"working_volume__frame": "world"}, "'arm' or 'camera'"),
     "zero normal": ({"grizzly__plane__normal": [0, 0, 0]}, "zero"),
     "no opening": ({"grizzly__opening_m": 0}, "opening_m"),
-    "opening in millimetres": ({"grizzly__opening_m": 300}, "grizzly.opening_m: 300.0 m is more than 3 m"),
-    "bars in centimetres": ({"grizzly__bar_width_m": 7.5}, "millimetres (centimetres) given for metres?"),
+    "opening in millimetres": (
+        {"grizzly__opening_m": 300},
+        "grizzly.opening_m: 300.0 m is more than 3 m",
+    ),
+    "bars in centimetres": (
+        {"grizzly__bar_width_m": 7.5},
+        "millimetres (centimetres) given for metres?",
+    ),
     "opening in kilometres": ({"grizzly__opening_m": 0.0003}, "is it in metres?"),
     "camera in centimetres": (
-        {"arm_from_camera": [[1, 0, 0, 40], [0, -0.966, 0.259, -65], [0, -0.259, -0.966, 260], [0, 0, 0, 1]]},
+        {
+            "arm_from_camera": [
+                [1, 0, 0, 40],
+                [0, -0.966, 0.259, -65],
+                [0, -0.259, -0.966, 260],
+                [0, 0, 0, 1],
+            ]
+        },
         "arm_from_camera: [40",
     ),
     "plane in millimetres": (
@@ -193,7 +215,11 @@ def test_04_site_units(shared_data: Path) -> None:
 def lengths(value: object, way: tuple = ()) -> list[tuple]:
     """Ways to all lengths of a site document."""
     if isinstance(value, dict):
-        named = [(key, part) for key, part in value.items() if key not in ("version", "normal", "hand_eye")]
+        named = [
+            (key, part)
+            for key, part in value.items()
+            if key not in ("version", "normal", "hand_eye")
+        ]
         return [found for key, part in named for found in lengths(part, (*way, key))]
     if isinstance(value, list):
         if way == ("arm_from_camera",):
@@ -203,8 +229,11 @@ def lengths(value: object, way: tuple = ()) -> list[tuple]:
 
 
 def test_a_length_in_another_unit_is_an_error_or_read_as_it_stands(tmp_path: Path) -> None:
-    """Of each site file one length a thousand and a hundred times: never a value that is neither told nor taken."""
-    document = yaml.safe_load(EXAMPLE.read_text()) | {"reach": {"min_m": [-1.5, -1.2, 0.1], "max_m": [1.5, 1.2, 2.0]}}
+    """Of each site file one length a thousand and a hundred times: never a value that is neither
+    told nor taken."""
+    document = yaml.safe_load(EXAMPLE.read_text()) | {
+        "reach": {"min_m": [-1.5, -1.2, 0.1], "max_m": [1.5, 1.2, 2.0]}
+    }
     ways = lengths(document)
     assert len(ways) > 15
     told = 0

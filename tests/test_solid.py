@@ -11,7 +11,12 @@ from stereo_ore.config.models import SolidConfig
 from stereo_ore.planes import fit_planes
 from stereo_ore.stages.solid import looks, prior, solids
 from stereo_ore.stages.solid.cues import gather
-from stereo_ore.stages.solid.measure import IN_PLANE_TURNS, convex_body, longest_calliper, smallest_box
+from stereo_ore.stages.solid.measure import (
+    IN_PLANE_TURNS,
+    convex_body,
+    longest_calliper,
+    smallest_box,
+)
 from stereo_ore.stages.solid.sight import look
 from stereo_ore.types import OreMap, Rig, Solid
 
@@ -113,7 +118,9 @@ def test_holes_and_wild_points_change_little() -> None:
     assert other.volume_m3 == pytest.approx(one.volume_m3, rel=0.3)
 
 
-@pytest.mark.parametrize(("factor", "expected"), [(0.7, True), (1.3, False), (1.0, None), (None, None)])
+@pytest.mark.parametrize(
+    ("factor", "expected"), [(0.7, True), (1.3, False), (1.0, None), (None, None)]
+)
 def test_oversize_has_a_margin(factor: float | None, expected: bool | None) -> None:
     view = look_down([BOULDER])
     opening = None if factor is None else factor * float(solve(view)[0].size_m[1])
@@ -128,7 +135,9 @@ def test_a_cut_lump_is_uncertain_and_never_called_small() -> None:
     assert (cut.sigma_m > 1.5 * whole.sigma_m).all()
     assert [reason.code for reason in cut.reasons] == ["CUT_BY_IMAGE"]
     wide = replace(
-        view, grizzly=replace(view.grizzly, opening_m=1.0), ore_map=replace(view.ore_map, cut=frozenset({1}))
+        view,
+        grizzly=replace(view.grizzly, opening_m=1.0),
+        ore_map=replace(view.ore_map, cut=frozenset({1})),
     )
     assert solve(wide)[0].oversize is None
 
@@ -157,7 +166,8 @@ def test_a_turned_cuboid_is_measured(seed: int) -> None:
     assert body.volume == pytest.approx(dims.prod())
     np.testing.assert_allclose(body.centroid, shift, atol=1e-9)
     np.testing.assert_allclose(centre, shift, atol=1e-2)
-    # The box is searched in steps of angle: half a step off, a side of length b grows by a·sin, one of a by b·sin.
+    # The box is searched in steps of angle: half a step off, a side of length b grows by a·sin, one
+    # of a by b·sin.
     off, ratio = np.pi / (4 * IN_PLANE_TURNS), dims[0] / dims[2]
     worst = (np.cos(off) + ratio * np.sin(off)) * (np.cos(off) + np.sin(off) / ratio)
     assert dims.prod() * (1 - 1e-9) <= extent.prod() <= dims.prod() * worst
@@ -166,7 +176,13 @@ def test_a_turned_cuboid_is_measured(seed: int) -> None:
 
 
 @pytest.mark.parametrize(
-    "points", [np.zeros((0, 3)), np.zeros((9, 3)), np.eye(3), np.random.default_rng(0).random((9, 3)) * [1, 1, 0]]
+    "points",
+    [
+        np.zeros((0, 3)),
+        np.zeros((9, 3)),
+        np.eye(3),
+        np.random.default_rng(0).random((9, 3)) * [1, 1, 0],
+    ],
 )
 def test_points_without_volume_are_no_body(points: np.ndarray) -> None:
     assert convex_body(points) is None
@@ -184,7 +200,9 @@ def test_plane_fields_are_exact_on_planes(a: float, b: float, z: float) -> None:
     weight[5:9, 7:9] = 0
     field = fit_planes(np.where(weight > 0, depth, np.nan).astype(np.float32), weight, 7, rig)
     np.testing.assert_allclose(field.depth(everywhere), depth.ravel(), rtol=1e-5)
-    np.testing.assert_allclose(field.normal(everywhere), np.broadcast_to(normal, (u.size, 3)), atol=2e-3)
+    np.testing.assert_allclose(
+        field.normal(everywhere), np.broadcast_to(normal, (u.size, 3)), atol=2e-3
+    )
     assert field.rms.max() < 2e-4 * z
 
 
@@ -205,7 +223,8 @@ def test_the_shipped_coefficients_fit_the_cues() -> None:
 
 
 def test_a_mirrored_lump_gives_a_mirrored_answer() -> None:
-    """The view of an upright camera, its columns but the first turned round: the principal point is in the middle."""
+    """The view of an upright camera, its columns but the first turned round: the principal point is
+    in the middle."""
     view = look_down(PAIR)
     assert view.surface.rig.cx == view.surface.rig.width / 2
     flipped = np.ascontiguousarray(view.surface.xyz[:, :0:-1] * np.array([-1, 1, 1], np.float32))
@@ -213,18 +232,25 @@ def test_a_mirrored_lump_gives_a_mirrored_answer() -> None:
     surface = replace(view.surface, xyz=flipped, sigma_z=sigma_z, bgr=view.surface.bgr[:, 1:], x0=1)
     labels = view.ore_map.labels.copy()
     labels[:, 1:] = labels[:, :0:-1].copy()
-    for one, other in zip(solve(view), solve(replace(view, surface=surface, ore_map=OreMap(labels))), strict=True):
-        np.testing.assert_allclose(other.centre_of_gravity, one.centre_of_gravity * [-1, 1, 1], atol=2e-3)
+    for one, other in zip(
+        solve(view), solve(replace(view, surface=surface, ore_map=OreMap(labels))), strict=True
+    ):
+        np.testing.assert_allclose(
+            other.centre_of_gravity, one.centre_of_gravity * [-1, 1, 1], atol=2e-3
+        )
         assert other.volume_m3 == pytest.approx(one.volume_m3, rel=0.03)
 
 
 def test_a_bar_in_the_silhouette_changes_little() -> None:
-    """A strip as wide as a bar, at the height of the screen, that the segmentation left on a lump."""
+    """A strip as wide as a bar, at the height of the screen, that the segmentation left on a
+    lump."""
     view = look_down([BOULDER])
     labels = view.ore_map.labels.copy()
     rows, columns = np.nonzero(labels == 1)
     middle, width = int(np.median(columns)), max(2, round(0.08 * np.sqrt(len(rows))))
-    labels[rows.max() - 3 : rows.max() + round(0.4 * np.sqrt(len(rows))), middle : middle + width] = 1
+    labels[
+        rows.max() - 3 : rows.max() + round(0.4 * np.sqrt(len(rows))), middle : middle + width
+    ] = 1
     assert (labels == 1).sum() > 1.02 * len(rows)
     one, other = solve(view)[0], solve(replace(view, ore_map=OreMap(labels)))[0]
     assert np.linalg.norm(one.centre_of_gravity - other.centre_of_gravity) < 0.005
@@ -233,7 +259,9 @@ def test_a_bar_in_the_silhouette_changes_little() -> None:
 
 def test_looks_are_those_of_the_solids() -> None:
     view = look_down(PAIR)
-    for looked, solid in zip(looks(view.surface, view.ore_map, view.grizzly, CONFIG), solve(view), strict=True):
+    for looked, solid in zip(
+        looks(view.surface, view.ore_map, view.grizzly, CONFIG), solve(view), strict=True
+    ):
         assert looked is not None
         sight, cues = looked
         mean = prior.load().estimate(cues.even, cues.odd, cues.doubts).mean
@@ -243,7 +271,11 @@ def test_looks_are_those_of_the_solids() -> None:
 
 def test_terms_are_cues_held_within_reach_and_their_products() -> None:
     pairs = (("a", "a"), ("a", "b"))
-    model = prior.Linear(("a", "b"), pairs, np.array([1.0, 0.0]), np.array([2.0, 1.0]), np.eye(4), np.ones(4))
+    model = prior.Linear(
+        ("a", "b"), pairs, np.array([1.0, 0.0]), np.array([2.0, 1.0]), np.eye(4), np.ones(4)
+    )
     np.testing.assert_allclose(model.terms(np.array([5.0, 1.5])), [2.0, 1.5, 4.0, 3.0])
     far, near = prior.REACH, prior.PAIR_REACH
-    np.testing.assert_allclose(model(np.array([-99.0, 1.5])), 1 + np.array([-far, 1.5, near**2, -1.5 * near]))
+    np.testing.assert_allclose(
+        model(np.array([-99.0, 1.5])), 1 + np.array([-far, 1.5, near**2, -1.5 * near])
+    )

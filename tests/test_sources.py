@@ -1,4 +1,5 @@
-"""Folders and image files: every layout the design names, every pixel format, every way a file can be broken."""
+"""Folders and image files: every layout the design names, every pixel format, every way a file can
+be broken."""
 
 import os
 import pickle
@@ -17,7 +18,13 @@ from hypothesis import strategies as st
 from stereo_ore.errors import FrameError, SourceError
 from stereo_ore.io.recordings import open_source, open_two_files
 from stereo_ore.io.recordings.images import read_image
-from stereo_ore.io.recordings.names import frame_names, name_stamp, natural_key, split_name, stamp_name
+from stereo_ore.io.recordings.names import (
+    frame_names,
+    name_stamp,
+    natural_key,
+    split_name,
+    stamp_name,
+)
 from stereo_ore.io.recordings.quiet import overheard
 from stereo_ore.types import U8
 
@@ -26,7 +33,9 @@ WIDTH, HEIGHT = 32, 20
 
 def picture(number: int, eye: str, width: int = WIDTH) -> U8:
     """A picture that tells its frame and eye: no two are alike."""
-    noise = np.random.default_rng([number, eye == "right"]).integers(0, 256, (HEIGHT, width, 3), dtype=np.uint8)
+    noise = np.random.default_rng([number, eye == "right"]).integers(
+        0, 256, (HEIGHT, width, 3), dtype=np.uint8
+    )
     return cv2.GaussianBlur(noise, (5, 5), 1.0)
 
 
@@ -40,7 +49,9 @@ def both(number: int) -> U8:
     return np.hstack([picture(number, "left"), picture(number, "right")])
 
 
-def write_pairs(folder: Path, pattern: Callable[[str, int], str], numbers: range = range(3)) -> Path:
+def write_pairs(
+    folder: Path, pattern: Callable[[str, int], str], numbers: range = range(3)
+) -> Path:
     for number in numbers:
         for eye in ("left", "right"):
             save(folder / pattern(eye, number), picture(number, eye))
@@ -68,7 +79,10 @@ LAYOUTS = {
     "capitals": (lambda eye, n: f"{eye.upper()}_{n}.png", "{}"),
     "camel case": (lambda eye, n: f"shot{n}{eye.title()}.png", "shot{}"),
     "folder a frame": (lambda eye, n: f"scene_{n}/{eye}.png", "scene_{}"),
-    "folder a frame, Middlebury": (lambda eye, n: f"scene_{n}/im{int(eye == 'right')}.png", "scene_{}"),
+    "folder a frame, Middlebury": (
+        lambda eye, n: f"scene_{n}/im{int(eye == 'right')}.png",
+        "scene_{}",
+    ),
     "folders of frames": (lambda eye, n: f"day_{n}/{eye}0000.png", "day_{}_0000"),
 }
 
@@ -96,8 +110,12 @@ def test_two_files(tmp_path: Path) -> None:
     write_pairs(tmp_path, lambda eye, n: f"{eye}{n}.png", range(1))
     assert_frames(open_two_files(tmp_path / "left0.png", tmp_path / "right0.png"), ("0",))
     write_pairs(tmp_path / "pile", lambda eye, _: f"{eye}.png", range(1))
-    assert open_two_files(tmp_path / "pile" / "left.png", tmp_path / "pile" / "right.png").names == ("pile",)
-    assert open_two_files(save(tmp_path / "a.png", both(0)), tmp_path / "right0.png").names == ("a",)
+    assert open_two_files(
+        tmp_path / "pile" / "left.png", tmp_path / "pile" / "right.png"
+    ).names == ("pile",)
+    assert open_two_files(save(tmp_path / "a.png", both(0)), tmp_path / "right0.png").names == (
+        "a",
+    )
     with pytest.raises(SourceError, match=r"nothing\.png: no such file"):
         open_two_files(tmp_path / "left0.png", tmp_path / "nothing.png")
 
@@ -142,7 +160,9 @@ def test_unpaired_frame_is_reported_and_shifts_nothing(missing: str, tmp_path: P
 def test_two_files_for_one_eye_are_an_error(tmp_path: Path) -> None:
     write_pairs(tmp_path, lambda eye, n: f"{eye}/{n}.png")
     save(tmp_path / "left" / "1.jpg", picture(1, "left"))
-    with pytest.raises(SourceError, match=r"1\.(png|jpg) and 1\.(png|jpg) are for the same eye of frame '1'"):
+    with pytest.raises(
+        SourceError, match=r"1\.(png|jpg) and 1\.(png|jpg) are for the same eye of frame '1'"
+    ):
         open_source(tmp_path)
 
 
@@ -152,7 +172,10 @@ def test_stamps_are_those_of_names_or_else_of_files(tmp_path: Path) -> None:
     save(tmp_path / "both" / f"{stamp}.png", both(0))
     os.utime(save(tmp_path / "counted" / "000001.png", both(0)), ns=(0, changed))
     pairs = [open_source(tmp_path / "pairs").read(i) for i in range(2)]
-    assert [(pair.stamp_ns, pair.stamp_source) for pair in pairs] == [(stamp, "file name"), (stamp + 1, "file name")]
+    assert [(pair.stamp_ns, pair.stamp_source) for pair in pairs] == [
+        (stamp, "file name"),
+        (stamp + 1, "file name"),
+    ]
     assert open_source(tmp_path / "both").read(0).stamp_ns == stamp
     counted = open_source(tmp_path / "counted").read(0)
     assert (counted.stamp_ns, counted.stamp_source) == (changed, "modification time")
@@ -174,7 +197,10 @@ def grey16() -> np.ndarray:
     ("image", "expected"),
     [
         (picture(0, "left"), picture(0, "left")),
-        (np.dstack([picture(0, "left"), np.full((HEIGHT, WIDTH), 77, np.uint8)]), picture(0, "left")),
+        (
+            np.dstack([picture(0, "left"), np.full((HEIGHT, WIDTH), 77, np.uint8)]),
+            picture(0, "left"),
+        ),
         (picture(0, "left")[:, :, 0], np.repeat(picture(0, "left")[:, :, :1], 3, 2)),
         (grey16(), np.repeat(grey16()[:, :, None], 3, 2)),
         (picture(0, "left").astype(np.uint16) * 257, picture(0, "left").astype(np.uint16) * 257),
@@ -182,7 +208,9 @@ def grey16() -> np.ndarray:
     ids=["BGR", "BGRA", "grey", "grey 16 bit", "BGR 16 bit"],
 )
 @pytest.mark.parametrize("suffix", [".png", ".tif"])
-def test_pixel_formats(image: np.ndarray, expected: np.ndarray, suffix: str, tmp_path: Path) -> None:
+def test_pixel_formats(
+    image: np.ndarray, expected: np.ndarray, suffix: str, tmp_path: Path
+) -> None:
     found = read_image(save(tmp_path / f"image{suffix}", image))
     assert found.dtype == expected.dtype
     np.testing.assert_array_equal(found, expected)
@@ -195,13 +223,17 @@ def test_suffixes(suffix: str, tmp_path: Path) -> None:
     assert np.abs(pair.left.astype(int) - picture(0, "left")).mean() < 10
 
 
-def test_both_eyes_of_a_12_bit_camera_are_scaled_alike_and_keep_their_contrast(tmp_path: Path) -> None:
+def test_both_eyes_of_a_12_bit_camera_are_scaled_alike_and_keep_their_contrast(
+    tmp_path: Path,
+) -> None:
     ramp = np.linspace(0, 4095, WIDTH * HEIGHT).reshape(HEIGHT, WIDTH).astype(np.uint16)
     save(tmp_path / "left.png", ramp)
     save(tmp_path / "right.png", ramp // 2)
     pair = open_source(tmp_path).read(0)
     assert pair.left.max() == 255
-    np.testing.assert_array_equal(pair.right, (ramp // 2 // 16).astype(np.uint8)[:, :, None].repeat(3, 2))
+    np.testing.assert_array_equal(
+        pair.right, (ramp // 2 // 16).astype(np.uint8)[:, :, None].repeat(3, 2)
+    )
 
 
 # --- broken files: always a FrameError with a code, never half a picture, never a word on stderr
@@ -216,7 +248,9 @@ def damaged(path: Path, at: float, count: int) -> None:
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".tif", ".bmp"])
 @pytest.mark.parametrize("share", [0.02, 0.3, 0.7, 0.98])
-def test_truncated_file(suffix: str, share: float, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_truncated_file(
+    suffix: str, share: float, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     path = save(tmp_path / f"image{suffix}", cv2.resize(picture(0, "left"), (640, 400)))
     data = path.read_bytes()
     path.write_bytes(data[: int(share * len(data))])
@@ -228,7 +262,9 @@ def test_truncated_file(suffix: str, share: float, tmp_path: Path, capfd: pytest
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".tif"])
-def test_damage_in_the_middle_is_seen(suffix: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_damage_in_the_middle_is_seen(
+    suffix: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     if suffix == ".tif" and int(cv2.__version__.split(".")[0]) < 5:
         pytest.skip("OpenCV 4 keeps libtiff's complaints to itself")
     noise = np.random.default_rng(1).integers(0, 256, (400, 640, 3), dtype=np.uint8)
@@ -241,7 +277,9 @@ def test_damage_in_the_middle_is_seen(suffix: str, tmp_path: Path, capfd: pytest
 
 def test_a_jpeg_of_many_scans_is_refused_before_it_is_decoded(tmp_path: Path) -> None:
     path = tmp_path / "many.jpg"
-    _, data = cv2.imencode(".jpg", np.zeros((64, 64, 3), np.uint8), [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])
+    _, data = cv2.imencode(
+        ".jpg", np.zeros((64, 64, 3), np.uint8), [cv2.IMWRITE_JPEG_PROGRESSIVE, 1]
+    )
     whole = data.tobytes()
     path.write_bytes(whole)
     assert read_image(path).shape == (64, 64, 3)
@@ -251,7 +289,9 @@ def test_a_jpeg_of_many_scans_is_refused_before_it_is_decoded(tmp_path: Path) ->
         read_image(path)
 
 
-def test_what_others_write_to_stderr_is_passed_on_and_is_no_damage(capfd: pytest.CaptureFixture[str]) -> None:
+def test_what_others_write_to_stderr_is_passed_on_and_is_no_damage(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
     def decode() -> int:
         os.write(2, b"error of another thread: premature\nCorrupt JPEG data: 7 extraneous bytes\n")
         return 7
@@ -260,7 +300,9 @@ def test_what_others_write_to_stderr_is_passed_on_and_is_no_damage(capfd: pytest
     assert capfd.readouterr().err == "error of another thread: premature\n"
 
 
-def test_a_jpeg_of_an_unknown_revision_is_read_in_silence(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_jpeg_of_an_unknown_revision_is_read_in_silence(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     path = save(tmp_path / "image.jpg", picture(0, "left"))
     data = path.read_bytes()
     assert data[6:12] == b"JFIF\0\1"
@@ -272,16 +314,22 @@ def test_a_jpeg_of_an_unknown_revision_is_read_in_silence(tmp_path: Path, capfd:
 def test_a_service_without_standard_error(tmp_path: Path) -> None:
     path = save(tmp_path / "image.png", picture(0, "left"))
     code = (
-        "import os; os.close(2)\nfrom pathlib import Path\nfrom stereo_ore.io.recordings.images import read_image\n"
-        f"print(read_image(Path({str(path)!r})).shape)"
+        "import os; os.close(2)\nfrom pathlib import Path\nfrom stereo_ore.io.recordings.images"
+        f" import read_image\nprint(read_image(Path({str(path)!r})).shape)"
     )
-    done = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, timeout=60)
+    done = subprocess.run(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, timeout=60
+    )
     assert done.stdout == f"({HEIGHT}, {WIDTH}, 3)\n"
 
 
 @pytest.mark.parametrize(
     ("content", "code"),
-    [(b"", "UNREADABLE_IMAGE"), (b"not an image at all\n" * 99, "UNREADABLE_IMAGE"), (bytes(5000), "UNREADABLE_IMAGE")],
+    [
+        (b"", "UNREADABLE_IMAGE"),
+        (b"not an image at all\n" * 99, "UNREADABLE_IMAGE"),
+        (bytes(5000), "UNREADABLE_IMAGE"),
+    ],
     ids=["zero bytes", "text", "zeros"],
 )
 def test_what_is_no_image(content: bytes, code: str, tmp_path: Path) -> None:
@@ -303,7 +351,9 @@ def test_folder_with_the_name_of_an_image(tmp_path: Path) -> None:
         open_source(tmp_path).read(0)
 
 
-def test_image_that_claims_to_be_enormous(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_image_that_claims_to_be_enormous(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     path = save(tmp_path / "image.png", picture(0, "left"))
     data = bytearray(path.read_bytes())
     data[16:24] = struct.pack(">II", 2_000_000_000, 2_000_000_000)
@@ -352,7 +402,10 @@ def test_odd_width_side_by_side(tmp_path: Path) -> None:
         (["ride.svo"], r"it holds ride\.svo"),
         (["left0.png", "left1.png"], r"images of one eye only, such as left0\.png"),
         (["left0.png", "right1.png"], r"1 left and 1 right images, none of which belong together"),
-        (["left/0.png", "right/1.png"], r"1 left and 1 right images, none of which belong together"),
+        (
+            ["left/0.png", "right/1.png"],
+            r"1 left and 1 right images, none of which belong together",
+        ),
         (["left/notes.txt", "right/notes.txt"], r"0 left and 0 right"),
     ],
 )
@@ -375,7 +428,9 @@ def test_unknown_paths(tmp_path: Path) -> None:
     with pytest.raises(SourceError, match="no such file or folder"):
         open_source(tmp_path / "nothing")
     (tmp_path / "a.docx").write_bytes(b"x")
-    with pytest.raises(SourceError, match=r"files ending in '\.docx' are not known\. Known: a folder"):
+    with pytest.raises(
+        SourceError, match=r"files ending in '\.docx' are not known\. Known: a folder"
+    ):
         open_source(tmp_path / "a.docx")
     write_pairs(tmp_path, lambda eye, _: f"{eye}.png", range(1))
     with pytest.raises(SourceError, match="is by its name the left eye of a pair"):
@@ -427,4 +482,6 @@ def test_stamp_survives_in_a_name(stamp: int) -> None:
 
 
 def test_names_that_are_no_stamps() -> None:
-    assert [name_stamp(name) for name in ("000123", "frame_1700000000123456789", "٣" * 19, "9" * 19)] == [None] * 4
+    assert [
+        name_stamp(name) for name in ("000123", "frame_1700000000123456789", "٣" * 19, "9" * 19)
+    ] == [None] * 4

@@ -1,4 +1,5 @@
-"""ROS 1, ROS 2 and MCAP recordings: pixels, pairing by stamp, topics, calibration, damage; sameness with folders."""
+"""ROS 1, ROS 2 and MCAP recordings: pixels, pairing by stamp, topics, calibration, damage; sameness
+with folders."""
 
 import contextlib
 import json
@@ -36,7 +37,12 @@ def picture(number: int, eye: int) -> np.ndarray:
 def shots(count: int = 3, skew_ns: int = 0, topics: tuple[str, str] = TOPICS) -> list[Shot]:
     """Pairs whose messages are recorded some time after they were taken."""
     return [
-        Shot(topic, START + n * PERIOD + 1_000_000 * (eye + 3), START + n * PERIOD + eye * skew_ns, picture(n, eye))
+        Shot(
+            topic,
+            START + n * PERIOD + 1_000_000 * (eye + 3),
+            START + n * PERIOD + eye * skew_ns,
+            picture(n, eye),
+        )
         for n in range(count)
         for eye, topic in enumerate(topics)
     ]
@@ -82,11 +88,19 @@ def test_open_bag_can_be_sent_to_a_worker_and_read_again(tmp_path: Path) -> None
 
 
 def test_a_lost_image_is_reported_and_shifts_nothing(tmp_path: Path) -> None:
-    some = [shot for shot in shots(4) if shot.logged_ns not in (shots(4)[3].logged_ns, shots(4)[4].logged_ns)]
-    source = open_source(write_bag(tmp_path / "bag", "mcap", some))  # frame 1 lacks its right eye, frame 2 its left
+    some = [
+        shot
+        for shot in shots(4)
+        if shot.logged_ns not in (shots(4)[3].logged_ns, shots(4)[4].logged_ns)
+    ]
+    source = open_source(
+        write_bag(tmp_path / "bag", "mcap", some)
+    )  # frame 1 lacks its right eye, frame 2 its left
     assert source.names == tuple(str(START + n * PERIOD) for n in range(4))
     for n, missing in ((1, "right"), (2, "left")):
-        with pytest.raises(FrameError, match=rf"frame {source.names[n]} has no {missing} image within 5 ms") as caught:
+        with pytest.raises(
+            FrameError, match=rf"frame {source.names[n]} has no {missing} image within 5 ms"
+        ) as caught:
             source.read(n)
         assert caught.value.code == "UNPAIRED"
     np.testing.assert_array_equal(source.read(3).right, picture(3, 1))
@@ -119,13 +133,20 @@ Y, U, V = 123, 91, 176  # of that colour, BT.601 limited range
 
 def mosaic(letters: str) -> np.ndarray:
     values = {"R": RED, "G": GREEN, "B": BLUE}
-    return np.tile(np.array([values[letter] for letter in letters.upper()], np.uint8).reshape(2, 2), (4, 4))
+    return np.tile(
+        np.array([values[letter] for letter in letters.upper()], np.uint8).reshape(2, 2), (4, 4)
+    )
 
 
 def message(encoding: str, rows: np.ndarray, width: int, big: bool = False) -> SimpleNamespace:
     flat = np.ascontiguousarray(rows).view(np.uint8).reshape(len(rows), -1)
     return SimpleNamespace(
-        encoding=encoding, height=len(rows), width=width, step=flat.shape[1], is_bigendian=big, data=flat.ravel()
+        encoding=encoding,
+        height=len(rows),
+        width=width,
+        step=flat.shape[1],
+        is_bigendian=big,
+        data=flat.ravel(),
     )
 
 
@@ -136,10 +157,13 @@ def test_bayer_patterns(pattern: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("encoding", "order"), [("yuv422", (U, Y, V, Y)), ("yuv422_yuy2", (Y, U, Y, V)), ("uyvy", (U, Y, V, Y))]
+    ("encoding", "order"),
+    [("yuv422", (U, Y, V, Y)), ("yuv422_yuy2", (Y, U, Y, V)), ("uyvy", (U, Y, V, Y))],
 )
 def test_yuv(encoding: str, order: tuple[int, ...]) -> None:
-    found = ros_messages.image(message(encoding, np.tile(np.array(order, np.uint8), (8, 4)), 8), Path("bag"))
+    found = ros_messages.image(
+        message(encoding, np.tile(np.array(order, np.uint8), (8, 4)), 8), Path("bag")
+    )
     assert np.abs(found.astype(int) - (BLUE, GREEN, RED)).max() <= 3
 
 
@@ -176,7 +200,9 @@ def test_images_that_contradict_themselves(change: dict[str, object], error: str
 def test_camera_info_is_the_calibration(kind: str, name: str, tmp_path: Path) -> None:
     topics = (f"/cam/left/{name}", f"/cam/right/{name}")
     cameras = [camera(topic) for topic in topics]
-    calibration = open_source(write_bag(tmp_path / "bag", kind, shots(1, topics=topics), cameras)).calibration
+    calibration = open_source(
+        write_bag(tmp_path / "bag", kind, shots(1, topics=topics), cameras)
+    ).calibration
     assert calibration.images == ("rectified" if name == "image_rect" else "raw")
     assert calibration.image_size == (WIDTH, HEIGHT)
     assert calibration.left.focal_px == (30.0, 30.0)
@@ -199,10 +225,18 @@ def test_no_calibration_without_both_infos_or_when_they_are_empty(tmp_path: Path
     ("topics", "expected"),
     [
         (("/zed/left/image", "/zed/right/image"), ("/zed/left/image", "/zed/right/image")),
-        (("/right/image_raw", "/left/image_raw", "/rgb/image"), ("/left/image_raw", "/right/image_raw")),
+        (
+            ("/right/image_raw", "/left/image_raw", "/rgb/image"),
+            ("/left/image_raw", "/right/image_raw"),
+        ),
         (("/cam_left", "/cam_right"), ("/cam_left", "/cam_right")),
         (
-            ("/left/image", "/right/image", "/left/image/compressedDepth", "/right/image/compressedDepth"),
+            (
+                "/left/image",
+                "/right/image",
+                "/left/image/compressedDepth",
+                "/right/image/compressedDepth",
+            ),
             ("/left/image", "/right/image"),
         ),
         (
@@ -229,27 +263,48 @@ def test_topics_are_recognised(topics: tuple[str, ...], expected: tuple[str, str
     ],
 )
 def test_topics_are_never_guessed(topics: tuple[str, ...], count: int) -> None:
-    with pytest.raises(SourceError, match=rf"has {count} pairs of left and right image topics") as caught:
+    with pytest.raises(
+        SourceError, match=rf"has {count} pairs of left and right image topics"
+    ) as caught:
         choose_topics(topics, None, Path("bag"))
-    options = "--left-topic /left/image_raw --right-topic /right/image_raw or --left-topic /left/image_rect"
-    assert (options if count else "--left-topic and --right-topic; image topics: ") in str(caught.value)
+    options = (
+        "--left-topic /left/image_raw --right-topic /right/image_raw or --left-topic"
+        " /left/image_rect"
+    )
+    assert (options if count else "--left-topic and --right-topic; image topics: ") in str(
+        caught.value
+    )
 
 
 def test_given_topics(tmp_path: Path) -> None:
     topics = ("/a/image", "/b/image")
     path = write_bag(tmp_path / "bag", "mcap", shots(1, topics=topics))
     np.testing.assert_array_equal(open_source(path, BagOptions(topics)).read(0).left, picture(0, 0))
-    np.testing.assert_array_equal(open_source(path, BagOptions(topics[::-1])).read(0).left, picture(0, 1))
-    with pytest.raises(SourceError, match=r"has no image topic /c/image\. Image topics: /a/image, /b/image"):
+    np.testing.assert_array_equal(
+        open_source(path, BagOptions(topics[::-1])).read(0).left, picture(0, 1)
+    )
+    with pytest.raises(
+        SourceError, match=r"has no image topic /c/image\. Image topics: /a/image, /b/image"
+    ):
         open_source(path, BagOptions(("/a/image", "/c/image")))
 
 
 def test_topics_on_the_command_line_come_in_pairs(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "bag", "mcap", shots(1))
-    command = ["stereo-ore", "run", str(path), "--left-topic", TOPICS[0], "--out", str(tmp_path / "out")]
+    command = [
+        "stereo-ore",
+        "run",
+        str(path),
+        "--left-topic",
+        TOPICS[0],
+        "--out",
+        str(tmp_path / "out"),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert done.returncode == 2
-    assert "give both --left-topic and --right-topic, or neither" in " ".join(done.stderr.replace("│", " ").split())
+    assert "give both --left-topic and --right-topic, or neither" in " ".join(
+        done.stderr.replace("│", " ").split()
+    )
 
 
 def test_where_ros_puts_things() -> None:
@@ -265,13 +320,18 @@ def test_where_ros_puts_things() -> None:
 @pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 0.97])
 def test_cut_off_bag_is_an_error_or_failed_frames(kind: str, share: float, tmp_path: Path) -> None:
     path = write_bag(tmp_path / "bag", kind, shots(20))
-    file = path if path.is_file() else next(child for child in path.iterdir() if child.name != "metadata.yaml")
+    file = (
+        path
+        if path.is_file()
+        else next(child for child in path.iterdir() if child.name != "metadata.yaml")
+    )
     file.write_bytes(file.read_bytes()[: int(share * file.stat().st_size)])
     assert unharmed(path) < 20
 
 
 def unharmed(path: Path) -> int:
-    """Frames that can be read, each of them whole; opening and reading raise no other errors than typed ones."""
+    """Frames that can be read, each of them whole; opening and reading raise no other errors than
+    typed ones."""
     count = 0
     with contextlib.suppress(SourceError):
         source = open_source(path)
@@ -293,7 +353,9 @@ def test_what_is_no_bag(suffix: str, content: bytes, tmp_path: Path) -> None:
 
 def test_bag_without_images(tmp_path: Path) -> None:
     cameras = [camera(topic) for topic in TOPICS]
-    with pytest.raises(SourceError, match=r"has 0 pairs of left and right image topics.*image topics: none"):
+    with pytest.raises(
+        SourceError, match=r"has 0 pairs of left and right image topics.*image topics: none"
+    ):
         open_source(write_bag(tmp_path / "bag", "mcap", [], cameras))
 
 
@@ -318,7 +380,9 @@ ascending = st.lists(st.integers(0, 400), unique=True, max_size=12).map(sorted)
 
 @given(ascending, ascending, st.integers(0, 60))
 @settings(deadline=None)
-def test_pairing_uses_each_image_once_in_order_within_the_limit(left: list[int], right: list[int], limit: int) -> None:
+def test_pairing_uses_each_image_once_in_order_within_the_limit(
+    left: list[int], right: list[int], limit: int
+) -> None:
     pairs = pair_by_stamp(left, right, limit)
     assert [i for i, _ in pairs if i is not None] == list(range(len(left)))
     assert sorted(j for _, j in pairs if j is not None) == list(range(len(right)))
@@ -330,9 +394,15 @@ def test_pairing_uses_each_image_once_in_order_within_the_limit(left: list[int],
             assert abs(left[i] - right[j]) == min(abs(left[i] - other) for other in right)
 
 
-@given(st.lists(st.integers(0, 10**6), unique=True, min_size=1).map(sorted), st.integers(-20, 20), st.data())
+@given(
+    st.lists(st.integers(0, 10**6), unique=True, min_size=1).map(sorted),
+    st.integers(-20, 20),
+    st.data(),
+)
 @settings(deadline=None)
-def test_lost_images_never_shift_the_others(ticks: list[int], skew: int, data: st.DataObject) -> None:
+def test_lost_images_never_shift_the_others(
+    ticks: list[int], skew: int, data: st.DataObject
+) -> None:
     stamps = [1000 * tick for tick in ticks]
     lost = data.draw(st.sets(st.integers(0, len(stamps) - 1)))
     right = {stamp + skew: n for n, stamp in enumerate(stamps) if n not in lost}
@@ -346,7 +416,8 @@ def test_lost_images_never_shift_the_others(ticks: list[int], skew: int, data: s
 
 @pytest.fixture(scope="module")
 def forms(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Twenty frames as a PNG folder, side-by-side PNG, MCAP and a ROS 2 bag; names are stamps, as the bags' are.
+    """Twenty frames as a PNG folder, side-by-side PNG, MCAP and a ROS 2 bag; names are stamps, as
+    the bags' are.
 
     The MCAP carries the calibration that the others are given.
     """
@@ -356,13 +427,18 @@ def forms(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     messages = []
     for n in range(20):
         stamp = START + n * PERIOD
-        images = [np.ascontiguousarray(np.clip(image.astype(int) + n, 0, 255).astype(np.uint8)) for image in pair]
+        images = [
+            np.ascontiguousarray(np.clip(image.astype(int) + n, 0, 255).astype(np.uint8))
+            for image in pair
+        ]
         for eye, image in zip(("left", "right"), images, strict=True):
             (folder / "png" / eye).mkdir(parents=True, exist_ok=True)
             cv2.imwrite(str(folder / "png" / eye / f"{stamp}.png"), image)
         (folder / "side").mkdir(exist_ok=True)
         cv2.imwrite(str(folder / "side" / f"{stamp}.png"), np.hstack(images))
-        messages += [Shot(topic, stamp, stamp, image) for topic, image in zip(TOPICS, images, strict=True)]
+        messages += [
+            Shot(topic, stamp, stamp, image) for topic, image in zip(TOPICS, images, strict=True)
+        ]
     cameras = [Camera(topic, (320, 180), (132.4, 132.325), (160.5, 90.3), 0.12) for topic in TOPICS]
     write_bag(folder / "mcap", "mcap", messages, cameras)
     write_bag(folder / "sqlite3", "sqlite3", messages, encoding="rgb8")
@@ -370,14 +446,26 @@ def forms(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 @pytest.mark.slow
-def test_twenty_frames_give_identical_records_from_every_lossless_form(forms: dict[str, Path], tmp_path: Path) -> None:
+def test_twenty_frames_give_identical_records_from_every_lossless_form(
+    forms: dict[str, Path], tmp_path: Path
+) -> None:
     files = quarter_scene(tmp_path / "scene")
     results = {}
     for name, recording in forms.items():
         calib, site = files[:2], files[2:]
         options = [*site, "--workers", 2] if name == "mcap" else [*calib, *site]
-        command = ["stereo-ore", "run", recording, *options, "--out", tmp_path / name, "--no-report"]
-        done = subprocess.run([str(part) for part in command], capture_output=True, text=True, timeout=200)
+        command = [
+            "stereo-ore",
+            "run",
+            recording,
+            *options,
+            "--out",
+            tmp_path / name,
+            "--no-report",
+        ]
+        done = subprocess.run(
+            [str(part) for part in command], capture_output=True, text=True, timeout=200
+        )
         assert done.returncode == 0, done.stderr
         # Where a stamp is from differs; all the rest is the same.
         text = (tmp_path / name / "frames.jsonl").read_bytes()
@@ -391,9 +479,15 @@ def test_twenty_frames_give_identical_records_from_every_lossless_form(forms: di
     assert (tmp_path / "mcap" / "calibration.yaml").is_file()
 
 
-def test_a_recording_without_calibration_asks_for_one(forms: dict[str, Path], tmp_path: Path) -> None:
+def test_a_recording_without_calibration_asks_for_one(
+    forms: dict[str, Path], tmp_path: Path
+) -> None:
     for name in ("sqlite3", "png"):
         command = ["stereo-ore", "run", forms[name], "--out", tmp_path / name]
-        done = subprocess.run([str(part) for part in command], capture_output=True, text=True, timeout=60)
+        done = subprocess.run(
+            [str(part) for part in command], capture_output=True, text=True, timeout=60
+        )
         assert done.returncode == 1
-        assert done.stderr == f"error: {forms[name]}: carries no calibration. Give one with --calib\n"
+        assert (
+            done.stderr == f"error: {forms[name]}: carries no calibration. Give one with --calib\n"
+        )

@@ -1,4 +1,5 @@
-"""Side-by-side videos: every frame is the right one however it is reached, and damage is reported."""
+"""Side-by-side videos: every frame is the right one however it is reached, and damage is
+reported."""
 
 import pickle
 import shutil
@@ -86,7 +87,9 @@ def test_cut_off_video_fails_frame_by_frame_or_at_once(tmp_path: Path) -> None:
     source = open_source(path)
     assert_frame(source, 5)
     if len(source.names) == COUNT:
-        with pytest.raises(FrameError, match=r"cut\.avi: picture 24 of 25 can't be decoded") as caught:
+        with pytest.raises(
+            FrameError, match=r"cut\.avi: picture 24 of 25 can't be decoded"
+        ) as caught:
             source.read(24)
         assert caught.value.code == "UNREADABLE_IMAGE"
     else:
@@ -104,7 +107,9 @@ def test_a_video_that_vanishes_fails_the_frame(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("suffix", [".avi", ".mp4", ".mkv"])
 @pytest.mark.parametrize("content", [b"", b"hello world" * 99])
-def test_what_is_no_video(suffix: str, content: bytes, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_what_is_no_video(
+    suffix: str, content: bytes, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / f"x{suffix}"
     path.write_bytes(content)
     with pytest.raises(SourceError, match="can't be decoded as a video"):

@@ -38,13 +38,18 @@ def test_the_strike_lies_on_the_lump_and_points_into_it(pitch: float) -> None:
     view = look_down([FLAT_TOP], pitch)
     strikes = plan(view).strikes
     for strike in strikes:
-        inside = view.T_camera_screen[:3, :3].T @ (strike.point - view.T_camera_screen[:3, 3]) - FLAT_TOP.centre
+        inside = (
+            view.T_camera_screen[:3, :3].T @ (strike.point - view.T_camera_screen[:3, 3])
+            - FLAT_TOP.centre
+        )
         assert np.linalg.norm(inside / FLAT_TOP.radii) == pytest.approx(1.0, abs=0.03)
         normal = true_normal(view, FLAT_TOP, strike.point)
         assert strike.direction @ -normal > np.cos(np.radians(6))
         assert np.linalg.norm(strike.direction) == pytest.approx(1.0)
         assert strike.slope_rad <= CONFIG.max_slope_rad
-        assert strike.slope_rad == pytest.approx(np.arccos(-strike.direction @ view.grizzly.plane.normal), abs=1e-6)
+        assert strike.slope_rad == pytest.approx(
+            np.arccos(-strike.direction @ view.grizzly.plane.normal), abs=1e-6
+        )
         u, v = np.rint(view.surface.rig.project(strike.point)).astype(int)
         assert view.ore_map.labels[v, u] == 1
     lever = strikes[0].point - view.to_camera(FLAT_TOP.centre)
@@ -85,7 +90,9 @@ def test_why_there_is_no_strike() -> None:
     assert code(plan(view, replace_config(max_slope_rad=1e-4))) == "TOO_STEEP"
     assert code(plan(view, replace_config(tool_diameter_m=0.4))) == "NEAR_EDGE"
     rough = view.surface.xyz.copy()
-    rough *= 1 + 0.015 * np.random.default_rng(0).standard_normal(rough.shape[:2])[..., None].astype(np.float32)
+    rough *= 1 + 0.015 * np.random.default_rng(0).standard_normal(rough.shape[:2])[
+        ..., None
+    ].astype(np.float32)
     assert code(plan(replace(view, surface=replace(view.surface, xyz=rough)))) == "TOO_SMALL_PATCH"
     holes = view.surface.xyz.copy()
     holes[np.random.default_rng(0).random(holes.shape[:2]) < 0.6] = np.nan
@@ -95,25 +102,36 @@ def test_why_there_is_no_strike() -> None:
 def test_reach_is_a_box_in_the_arm_frame() -> None:
     view = look_down([FLAT_TOP])
     T_arm_camera = np.linalg.inv(view.T_camera_screen)
-    site = Site(T_arm_camera=T_arm_camera, reach_min_m=np.array([0.03, -1, -1]), reach_max_m=np.array([1.0, 1, 1]))
+    site = Site(
+        T_arm_camera=T_arm_camera,
+        reach_min_m=np.array([0.03, -1, -1]),
+        reach_max_m=np.array([1.0, 1, 1]),
+    )
     strikes = plan(view, site=site).strikes
     assert strikes
     assert all((T_arm_camera @ [*strike.point, 1])[0] >= 0.03 for strike in strikes)
-    assert code(plan(view, site=replace(site, reach_min_m=np.array([0.5, -1, -1])))) == "OUT_OF_REACH"
+    assert (
+        code(plan(view, site=replace(site, reach_min_m=np.array([0.5, -1, -1])))) == "OUT_OF_REACH"
+    )
 
 
 def test_bars_are_kept_off() -> None:
     sunk = Ellipsoid((0.10, 0.10, 0.04), (0.0, 0.0, -0.03))
     view = look_down([sunk], 80.0)
     below = replace(
-        view, grizzly=replace(view.grizzly, plane=replace(view.grizzly.plane, offset=view.grizzly.plane.offset + 0.05))
+        view,
+        grizzly=replace(
+            view.grizzly, plane=replace(view.grizzly.plane, offset=view.grizzly.plane.offset + 0.05)
+        ),
     )
     assert code(plan(below)) == "NEAR_EDGE"
 
 
 def test_lumps_without_a_solid_or_pixels_keep_their_place() -> None:
     view = look_down([FLAT_TOP, Ellipsoid((0.06, 0.06, 0.05), (-0.25, 0.0, 0.05))])
-    found: list[Solid | None] = list(solids(view.surface, view.ore_map, view.grizzly, SolidConfig()))
+    found: list[Solid | None] = list(
+        solids(view.surface, view.ore_map, view.grizzly, SolidConfig())
+    )
     found[0] = None
     first, second = plans(view.surface, view.ore_map, found, view.grizzly, SITE, CONFIG)
     assert code(first) == "UNCERTAIN_DEPTH"
@@ -123,9 +141,13 @@ def test_lumps_without_a_solid_or_pixels_keep_their_place() -> None:
 
 def test_noise_widens_the_window_and_steadies_the_direction() -> None:
     view = look_down([FLAT_TOP], 80.0)
-    noise = view.surface.sigma_z * np.random.default_rng(3).standard_normal(view.surface.sigma_z.shape)
+    noise = view.surface.sigma_z * np.random.default_rng(3).standard_normal(
+        view.surface.sigma_z.shape
+    )
     xyz = view.surface.xyz * (1 + noise / view.surface.xyz[..., 2])[..., None].astype(np.float32)
-    strike = plan(replace(view, surface=replace(view.surface, xyz=xyz.astype(np.float32)))).strikes[0]
+    strike = plan(replace(view, surface=replace(view.surface, xyz=xyz.astype(np.float32)))).strikes[
+        0
+    ]
     assert strike.direction @ -true_normal(view, FLAT_TOP, strike.point) > np.cos(np.radians(8))
 
 
@@ -147,12 +169,23 @@ def test_no_surface_breaks_it(seed: int) -> None:
     for number in range(1, int(rng.integers(2, 9))):
         (v, u), (h, w) = rng.integers(0, (470, 630)), rng.integers(1, 120, 2)
         labels[v : v + h, u : u + w] = number
-    xyz = view.surface.xyz * rng.uniform(0.5, 2.0, (480, 640, 1)).astype(np.float32) ** int(rng.integers(0, 2))
+    xyz = view.surface.xyz * rng.uniform(0.5, 2.0, (480, 640, 1)).astype(np.float32) ** int(
+        rng.integers(0, 2)
+    )
     xyz[rng.random((480, 640)) < rng.uniform(0, 1)] = np.nan
-    wild = replace(view, surface=replace(view.surface, xyz=xyz), ore_map=replace(view.ore_map, labels=labels))
+    wild = replace(
+        view, surface=replace(view.surface, xyz=xyz), ore_map=replace(view.ore_map, labels=labels)
+    )
     found = solids(wild.surface, wild.ore_map, wild.grizzly, SolidConfig())
-    for solid, plan in zip(found, plans(wild.surface, wild.ore_map, found, wild.grizzly, SITE, CONFIG), strict=True):
+    for solid, plan in zip(
+        found, plans(wild.surface, wild.ore_map, found, wild.grizzly, SITE, CONFIG), strict=True
+    ):
         assert plan.strikes or plan.reasons
-        assert all(np.isfinite([*strike.point, *strike.direction, strike.score]).all() for strike in plan.strikes)
+        assert all(
+            np.isfinite([*strike.point, *strike.direction, strike.score]).all()
+            for strike in plan.strikes
+        )
         if solid is not None:
-            assert np.isfinite([*solid.centre_of_gravity, *solid.sigma_m, *solid.size_m, *solid.volume_bounds_m3]).all()
+            assert np.isfinite(
+                [*solid.centre_of_gravity, *solid.sigma_m, *solid.size_m, *solid.volume_bounds_m3]
+            ).all()

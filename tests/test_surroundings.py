@@ -13,7 +13,8 @@ REGION = Region(8, 4, 200, 120, 0, 64)
 
 
 def world(step: float = 0.0) -> tuple[VoxelCloud, Disparity, RectifiedPair]:
-    """A wall at 20 px of disparity, nearer by `step` to the right of column 100, and a voxel each 4 px."""
+    """A wall at 20 px of disparity, nearer by `step` to the right of column 100, and a voxel each 4
+    px."""
     values = np.full((120, 200), 20, np.float32)
     values[:, 100:] += step
     cues = {name: np.full((116, 192), 0.5, np.float32) for name in CUES}
@@ -22,8 +23,14 @@ def world(step: float = 0.0) -> tuple[VoxelCloud, Disparity, RectifiedPair]:
     z = (RIG.fx * RIG.baseline_m / values[v, u]).astype(np.float32)
     xyz = RIG.back_project(u, v, z).astype(np.float32)
     one = np.ones(len(u), np.float32)
-    voxels = VoxelCloud(xyz, one.astype(np.int32), np.arange(len(u), dtype=np.int32), 0.01, one, one)
-    return voxels, Disparity(values, REGION, np.ones_like(values), cues), RectifiedPair(image, image, RIG)
+    voxels = VoxelCloud(
+        xyz, one.astype(np.int32), np.arange(len(u), dtype=np.int32), 0.01, one, one
+    )
+    return (
+        voxels,
+        Disparity(values, REGION, np.ones_like(values), cues),
+        RectifiedPair(image, image, RIG),
+    )
 
 
 def test_all_context_is_there_and_a_wall_has_none() -> None:
@@ -52,7 +59,10 @@ def test_unknown_pixels_do_not_count_in_means_of_known_ones() -> None:
     voxels, disparity, pair = world()
     values = disparity.values.copy()
     values[:, ::2] = np.nan
-    cues = {name: np.where(np.isfinite(values[REGION.slices]), cue, 9) for name, cue in disparity.cues.items()}
+    cues = {
+        name: np.where(np.isfinite(values[REGION.slices]), cue, 9)
+        for name, cue in disparity.cues.items()
+    }
     found = look_around(voxels, Disparity(values, REGION, np.ones_like(values), cues), pair).cues
     np.testing.assert_allclose(found["known_41"], 0.5, atol=0.06)
     np.testing.assert_allclose(found["spread_px_known_41"], np.log(0.55), rtol=5e-3)
@@ -66,5 +76,7 @@ def test_nothing_is_added_where_there_is_nothing_to_look_at(lack: str) -> None:
         disparity = dataclasses.replace(disparity, cues={})
     else:
         none = np.zeros(0, np.float32)
-        voxels = VoxelCloud(np.zeros((0, 3), np.float32), none.astype(np.int32), voxels.inverse, 0.01, none, none)
+        voxels = VoxelCloud(
+            np.zeros((0, 3), np.float32), none.astype(np.int32), voxels.inverse, 0.01, none, none
+        )
     assert look_around(voxels, disparity, pair) is voxels

@@ -1,4 +1,5 @@
-"""SVO2 recordings, read without Stereolabs' software; other videos that are stored a message a picture."""
+"""SVO2 recordings, read without Stereolabs' software; other videos that are stored a message a
+picture."""
 
 import contextlib
 import pickle
@@ -24,7 +25,9 @@ STAMPS = [1_700_000_000_000_000_000 + n * 66_666_667 for n in range(COUNT)]
 
 
 def picture(number: int, eye: int) -> np.ndarray:
-    noise = np.random.default_rng([number, eye]).integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)
+    noise = np.random.default_rng([number, eye]).integers(
+        0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8
+    )
     return cv2.GaussianBlur(noise, (5, 5), 1)
 
 
@@ -55,7 +58,9 @@ def test_it_can_be_sent_to_a_worker(recording: Path) -> None:
 
 
 def test_where_its_calibration_is_to_be_had(recording: Path) -> None:
-    with pytest.raises(SourceError, match=r"carries no calibration\. Give .* --calib: SN12345678\.conf"):
+    with pytest.raises(
+        SourceError, match=r"carries no calibration\. Give .* --calib: SN12345678\.conf"
+    ):
         _ = open_source(recording).calibration
 
 
@@ -109,7 +114,9 @@ def test_what_units_are() -> None:
 def test_without_a_key_frame_there_is_no_picture() -> None:
     units = access_units([np.hstack(pair) for pair in PAIRS], gop=7)[1:]
     decoder = UnitDecoder(Path("x"), [is_key(unit) for unit in units], units.__getitem__)
-    with pytest.raises(FrameError, match="picture 2 of 6 can't be decoded: no key frame comes before it"):
+    with pytest.raises(
+        FrameError, match="picture 2 of 6 can't be decoded: no key frame comes before it"
+    ):
         decoder.picture(2, 10**8)
 
 
@@ -134,4 +141,6 @@ def test_the_footer_is_as_it_is_described() -> None:
     from stereo_ore.io.recordings.svo import FOOTER, FOOTER_MAGIC
 
     assert FOOTER.size == 56
-    assert struct.unpack_from("<I", FOOTER.pack(1, 2, FOOTER_MAGIC, 1, 2, -1, 7), 8) == (0x5C002C00,)
+    assert struct.unpack_from("<I", FOOTER.pack(1, 2, FOOTER_MAGIC, 1, 2, -1, 7), 8) == (
+        0x5C002C00,
+    )

@@ -35,7 +35,7 @@ def points_of(scene: synth.Scene) -> np.ndarray:
     return apply(T_screen_camera @ scene.rectified.T_left_rectified, xyz)
 
 
-# --- meshes -----------------------------------------------------------------------------------------------------------
+# --- meshes ---------------------------------------------------------------------------------------
 
 
 def test_volume_and_centre_of_a_box() -> None:
@@ -76,8 +76,12 @@ def test_an_angular_rock_fills_less_of_its_box(shape: str) -> None:
     """Path-traced lumps fill 0.43 to 0.48 of theirs."""
 
     def filled(angular: bool) -> float:
-        made = [rocks.rock(np.random.default_rng(seed), shape, 1.0, 3, angular) for seed in range(8)]
-        return float(np.mean([mesh.volume_and_centre(m)[0] / mesh.callipers(m)[0].prod() for m in made]))
+        made = [
+            rocks.rock(np.random.default_rng(seed), shape, 1.0, 3, angular) for seed in range(8)
+        ]
+        return float(
+            np.mean([mesh.volume_and_centre(m)[0] / mesh.callipers(m)[0].prod() for m in made])
+        )
 
     assert 0.42 < filled(angular=True) < 0.52
     assert filled(angular=False) > 0.55
@@ -100,26 +104,36 @@ def test_lumps_sink_neither_into_bars_nor_into_each_other() -> None:
     field = placing.HeightField.over((1.15, 1.1), 0.008)
     field.add(steel)
     rng = np.random.default_rng(3)
-    stones = [rocks.rock(rng, shape, 0.45, 4) for shape in ("block", "slab", "chunk", "long", "chunk")]
+    stones = [
+        rocks.rock(rng, shape, 0.45, 4) for shape in ("block", "slab", "chunk", "long", "chunk")
+    ]
     poses = placing.pile(stones, field, (0.6, 0.6), rng, sink_m=-0.08)
     bodies = [steel] + [stones[k].moved(R, t) for k, R, t in poses]
     assert len(bodies) > 3
     for i, body in enumerate(bodies[1:], 1):
         others = mesh.merge(bodies[:i])
         up = np.concatenate([body.vertices, np.tile([0.0, 0.0, 1.0], (len(body.vertices), 1))], 1)
-        down = np.concatenate([body.vertices, np.tile([0.0, 0.0, -1.0], (len(body.vertices), 1))], 1)
+        down = np.concatenate(
+            [body.vertices, np.tile([0.0, 0.0, -1.0], (len(body.vertices), 1))], 1
+        )
         above, below = (mesh.cast(mesh.ray_caster(others), rays) for rays in (up, down))
         # A vertex inside a body leaves it through a face that points along the ray.
-        inside = (above["primitive_normals"][:, 2] > 0) & np.isfinite(above["t_hit"]) & np.isfinite(below["t_hit"])
+        inside = (
+            (above["primitive_normals"][:, 2] > 0)
+            & np.isfinite(above["t_hit"])
+            & np.isfinite(below["t_hit"])
+        )
         assert above["t_hit"][inside].max(initial=0) < 0.015 * 0.45
 
 
-# --- camera -----------------------------------------------------------------------------------------------------------
+# --- camera ---------------------------------------------------------------------------------------
 
 
 def plane_model() -> Model:
     """A square of 4 m in the plane z = 0 of the screen frame."""
-    square = mesh.rectangle(np.array([-2.0, -2, 0]), np.array([4.0, 0, 0]), np.array([0, 4.0, 0]), 0.5)
+    square = mesh.rectangle(
+        np.array([-2.0, -2, 0]), np.array([4.0, 0, 0]), np.array([0, 4.0, 0]), 0.5
+    )
     part = Part(square, "steel", 1, np.eye(3), np.zeros(3))
     zeros = np.zeros(len(square.triangles), np.int32)
     sky = np.ones(len(square.vertices), np.float32)
@@ -132,7 +146,10 @@ def test_depth_of_a_plane_is_exact() -> None:
     eye = Eye(CameraModel((300.0, 301.0), (160.0, 90.0)), (320, 180), camera.T_world_left)
     depth, instance = depth_and_instance(plane_model(), eye)
     u, v = np.meshgrid(np.arange(320), np.arange(180))
-    rays = np.stack([(u - 160) / 300, (v - 90) / 301, np.ones_like(u)], -1) @ camera.T_world_left[:3, :3].T
+    rays = (
+        np.stack([(u - 160) / 300, (v - 90) / 301, np.ones_like(u)], -1)
+        @ camera.T_world_left[:3, :3].T
+    )
     exact = -camera.T_world_left[2, 3] / rays[..., 2]
     assert (instance == 1).all()
     assert np.abs(depth / exact - 1).max() < 1e-5
@@ -153,9 +170,9 @@ def test_rays_of_a_distorted_eye_are_those_its_lens_model_projects_back() -> Non
     for eye in (left, right):
         rays = eye.rays(range(10, 360, 50)).reshape(-1, 6)
         xyz = apply(inverse(eye.T_screen_eye), rays[:, :3] + 2.0 * rays[:, 3:].astype(float))
-        pixels = cv2.projectPoints(xyz, np.zeros(3), np.zeros(3), eye.camera.K, np.array(eye.camera.distortion))[
-            0
-        ].reshape(-1, 2)
+        pixels = cv2.projectPoints(
+            xyz, np.zeros(3), np.zeros(3), eye.camera.K, np.array(eye.camera.distortion)
+        )[0].reshape(-1, 2)
         u, v = np.meshgrid(np.arange(672), np.arange(10, 360, 50))
         assert np.abs(pixels - np.stack([u, v], -1).reshape(-1, 2)).max() < 0.01
 
@@ -165,12 +182,17 @@ def test_the_right_eye_is_where_the_calibration_says() -> None:
     calibration = rig.raw_rig(spec)
     left, right, straight = rig.eyes(calibration, rig.rectification(calibration), np.eye(4))
     point = np.array([0.1, -0.2, 1.5])
-    expected = calibration.R_right_left @ apply(inverse(left.T_screen_eye), point) + calibration.t_right_left
+    expected = (
+        calibration.R_right_left @ apply(inverse(left.T_screen_eye), point)
+        + calibration.t_right_left
+    )
     assert apply(inverse(right.T_screen_eye), point) == pytest.approx(expected)
-    assert np.linalg.norm(apply(inverse(straight.T_screen_eye), point)) == pytest.approx(np.linalg.norm(point))
+    assert np.linalg.norm(apply(inverse(straight.T_screen_eye), point)) == pytest.approx(
+        np.linalg.norm(point)
+    )
 
 
-# --- scenes -----------------------------------------------------------------------------------------------------------
+# --- scenes ---------------------------------------------------------------------------------------
 
 
 def test_the_same_specification_gives_the_same_bytes_on_one_core(
@@ -235,7 +257,9 @@ def test_lumps_are_where_their_truth_says(synth_scene: synth.Scene) -> None:
         assert len(seen) == lump.visible_pixels == lump.visible_pixels_rectified
         assert np.linalg.norm(seen - centre, axis=1).max() < lump.max_calliper
         assert np.linalg.norm(seen - centre, axis=1).min() > 0.2 * lump.min_calliper
-        assert apply(synth_scene.spec.camera.T_world_left, lump.com_left) == pytest.approx(lump.com_world)
+        assert apply(synth_scene.spec.camera.T_world_left, lump.com_left) == pytest.approx(
+            lump.com_world
+        )
         assert lump.volume_m3 < np.prod(lump.box_dims)
         assert lump.visible_pixels <= lump.unoccluded_pixels
         assert lump.oversize == (lump.box_dims[1] > synth_scene.spec.screen.opening)
@@ -266,7 +290,8 @@ def test_low_light_is_noisier() -> None:
     from stereo_ore.lab.synth.sensor import expose
 
     bright, dark = (
-        expose(synth.Sensor(full_well=well), radiance, 1.0, np.random.default_rng(0)).std() for well in (8000, 500)
+        expose(synth.Sensor(full_well=well), radiance, 1.0, np.random.default_rng(0)).std()
+        for well in (8000, 500)
     )
     assert dark > 2 * bright
 
@@ -283,11 +308,16 @@ def test_normals_of_a_sphere_point_outwards() -> None:
     assert np.einsum("ij,ij->i", vertex_normals(sphere), sphere.vertices).min() > 0.99
 
 
-# --- files ------------------------------------------------------------------------------------------------------------
+# --- files ----------------------------------------------------------------------------------------
 
 
-def test_a_scene_folder_is_read_back_by_the_program(synth_scene: synth.Scene, synth_folder: Path) -> None:
-    calibration, site = load(synth_folder / "calibration.yaml"), load_site(synth_folder / "site.yaml")
+def test_a_scene_folder_is_read_back_by_the_program(
+    synth_scene: synth.Scene, synth_folder: Path
+) -> None:
+    calibration, site = (
+        load(synth_folder / "calibration.yaml"),
+        load_site(synth_folder / "site.yaml"),
+    )
     assert calibration.image_size == (672, 376)
     assert pytest.approx(synth_scene.rectified.K) == calibration.left.K
     assert site.opening_m == synth_scene.spec.screen.opening
@@ -305,7 +335,9 @@ def test_a_scene_folder_is_read_back_by_the_program(synth_scene: synth.Scene, sy
 def test_the_scoring_tool_reads_a_scene_folder(
     score_tool: ModuleType, synth_scene: synth.Scene, tmp_path: Path, raw: bool
 ) -> None:
-    scene = synth_scene if not raw else synth.scene(replace(small_spec(2), raw=True, supersampling=1))
+    scene = (
+        synth_scene if not raw else synth.scene(replace(small_spec(2), raw=True, supersampling=1))
+    )
     folder = synth.write(scene, tmp_path / "scene")
     calib, site = score_tool.write_inputs(folder, tmp_path / "work", False)
     ours, theirs = load(folder / "calibration.yaml"), load(calib)
@@ -316,7 +348,9 @@ def test_the_scoring_tool_reads_a_scene_folder(
     assert here.T_arm_camera == pytest.approx(there.T_arm_camera, abs=1e-7)
     assert here.plane.normal == pytest.approx(there.plane.normal, abs=1e-7)
     assert here.plane.offset == pytest.approx(there.plane.offset, abs=1e-6)
-    depth, instance, K, focal_baseline = score_tool.true_view(folder, json.loads((folder / "calib.json").read_text()))
+    depth, instance, K, focal_baseline = score_tool.true_view(
+        folder, json.loads((folder / "calib.json").read_text())
+    )
     assert pytest.approx(scene.rectified.K) == K
     assert focal_baseline == pytest.approx(scene.rectified.focal_baseline)
     assert (instance == scene.instance).all()
@@ -325,7 +359,18 @@ def test_the_scoring_tool_reads_a_scene_folder(
 
 def test_the_command_makes_scenes(tmp_path: Path) -> None:
     cli.load_verbs()
-    arguments = ["synth", str(tmp_path), "--family", "paper", "--lumps", "0", "--size", "VGA", "--seed", "2"]
+    arguments = [
+        "synth",
+        str(tmp_path),
+        "--family",
+        "paper",
+        "--lumps",
+        "0",
+        "--size",
+        "VGA",
+        "--seed",
+        "2",
+    ]
     done = CliRunner().invoke(cli.app, arguments)
     assert done.exit_code == 0, done.output
     assert done.stdout.split() == [str(tmp_path / "paper_0002")]
@@ -339,7 +384,7 @@ def test_the_command_names_a_bad_family(tmp_path: Path, capsys: pytest.CaptureFi
     assert "'moon' is no family" in capsys.readouterr().err
 
 
-# --- the published experiment's cloud ---------------------------------------------------------------------------------
+# --- the published experiment's cloud -------------------------------------------------------------
 
 
 @pytest.mark.parametrize("direction", ["isotropic", "normal", "ray"])

@@ -49,7 +49,9 @@ def test_each_consumer_gets_every_message_in_order(sink):
     def read(consumer, numbers):
         numbers.extend(consumer.read()["sequence"] for _ in range(500))
 
-    threads = [threading.Thread(target=read, args=pair) for pair in zip(consumers, received, strict=True)]
+    threads = [
+        threading.Thread(target=read, args=pair) for pair in zip(consumers, received, strict=True)
+    ]
     for thread in threads:
         thread.start()
     for sequence in range(1, 501):
@@ -85,7 +87,8 @@ def test_heartbeats_tell_that_the_program_lives(sink, monkeypatch):
 
 
 def test_a_consumer_that_reads_nothing_delays_nobody_and_is_cut_off(monkeypatch):
-    # Long enough for a reader on a busy machine, far longer than a publisher that does not wait takes.
+    # Long enough for a reader on a busy machine, far longer than a publisher that does not wait
+    # takes.
     monkeypatch.setattr(tcp, "SEND_TIMEOUT_S", 2.0)
     with TcpSink("127.0.0.1", 0) as sink:
         slow = socket.socket()
@@ -95,7 +98,9 @@ def test_a_consumer_that_reads_nothing_delays_nobody_and_is_cut_off(monkeypatch)
         good = Consumer(sink)
         numbers: list[int] = []
         count = 4000
-        reader = threading.Thread(target=lambda: numbers.extend(good.read()["sequence"] for _ in range(count)))
+        reader = threading.Thread(
+            target=lambda: numbers.extend(good.read()["sequence"] for _ in range(count))
+        )
         reader.start()
         longest = 0.0
         for sequence in range(1, count + 1):

@@ -1,4 +1,5 @@
-"""Times of frames: where they are from, that the user may give them, and that they reach the records."""
+"""Times of frames: where they are from, that the user may give them, and that they reach the
+records."""
 
 import json
 import os
@@ -23,10 +24,14 @@ from stereo_ore.plant.watch import FolderWatch
 MARCH = 1_774_958_400_000_000_000
 
 
-def save_pair(folder: Path, number: int, changed_ns: int | None = None, suffix: str = ".png") -> None:
+def save_pair(
+    folder: Path, number: int, changed_ns: int | None = None, suffix: str = ".png"
+) -> None:
     for eye in ("left", "right"):
         path = folder / f"{eye}{number:06d}{suffix}"
-        image = np.random.default_rng([number, eye == "left"]).integers(0, 255, (12, 16, 3), np.uint8)
+        image = np.random.default_rng([number, eye == "left"]).integers(
+            0, 255, (12, 16, 3), np.uint8
+        )
         path.write_bytes(cv2.imencode(suffix, image)[1].tobytes())
         if changed_ns is not None:
             os.utime(path, ns=(0, changed_ns))
@@ -67,21 +72,32 @@ def test_a_beginning_and_a_rate_replace_what_the_recording_says(tmp_path: Path) 
     assert stamps(MARCH, 4) == [MARCH, MARCH + 250_000_000, MARCH + 500_000_000]
     assert stamps(None, 2) == [100 * 10**9, 100 * 10**9 + 500_000_000, 101 * 10**9]
     pair = retime(source, MARCH, 4).read(2)
-    assert (pair.stamp_ns, pair.stamp_source, pair.index, pair.name) == (MARCH + 500_000_000, "options", 2, "000002")
+    assert (pair.stamp_ns, pair.stamp_source, pair.index, pair.name) == (
+        MARCH + 500_000_000,
+        "options",
+        2,
+        "000002",
+    )
     assert retime(source, None, None) is source
 
 
 def test_records_hold_times_and_where_they_are_from(tmp_path: Path) -> None:
     for number in range(2):
         save_pair(
-            tmp_path / "recording" if (tmp_path / "recording").exists() else made(tmp_path / "recording"), number, MARCH
+            (
+                tmp_path / "recording"
+                if (tmp_path / "recording").exists()
+                else made(tmp_path / "recording")
+            ),
+            number,
+            MARCH,
         )
     (tmp_path / "recording" / "right000001.png").unlink()
     (tmp_path / "calibration.yaml").write_text(
-        "format: stereo_ore/stereo-calibration\nversion: 1\ncamera: test\nimage_size: [16, 12]\nimages: rectified\n"
-        "left: {focal_px: [20.0, 20.0], principal_point_px: [8.0, 6.0]}\n"
-        "right: {focal_px: [20.0, 20.0], principal_point_px: [8.0, 6.0]}\n"
-        "right_from_left: {rotation_vector_rad: [0, 0, 0], translation_m: [-0.12, 0, 0]}\n"
+        "format: stereo_ore/stereo-calibration\nversion: 1\ncamera: test\nimage_size: [16,"
+        " 12]\nimages: rectified\nleft: {focal_px: [20.0, 20.0], principal_point_px: [8.0,"
+        " 6.0]}\nright: {focal_px: [20.0, 20.0], principal_point_px: [8.0, 6.0]}\nright_from_left:"
+        " {rotation_vector_rad: [0, 0, 0], translation_m: [-0.12, 0, 0]}\n"
     )
     command = [
         "run",
@@ -95,8 +111,12 @@ def test_records_hold_times_and_where_they_are_from(tmp_path: Path) -> None:
     with pytest.raises(SystemExit) as end:
         launch([str(word) for word in command])
     assert end.value.code == 3, "no frame is usable"
-    records = [json.loads(line) for line in (tmp_path / "out" / "frames.jsonl").read_text().splitlines()]
-    assert [(entry["stamp_ns"], entry["stamp_source"]) for entry in records] == [(MARCH, "modification time")] * 2
+    records = [
+        json.loads(line) for line in (tmp_path / "out" / "frames.jsonl").read_text().splitlines()
+    ]
+    assert [(entry["stamp_ns"], entry["stamp_source"]) for entry in records] == [
+        (MARCH, "modification time")
+    ] * 2
     assert {record_fault(entry) for entry in records} == {None}
     assert record_fault({**records[0], "stamp_source": "guess"}) is not None
 
@@ -130,11 +150,20 @@ def test_the_cause_comes_first(codes: list[str], expected: str) -> None:
 
 def test_ores_of_degraded_frames_are_not_in_the_sum() -> None:
     records = [
-        {"status": status, "frame": status, "counts": {"ores": 3, "targets": 2}, "reasons": [reason("TOO_DARK")]}
+        {
+            "status": status,
+            "frame": status,
+            "counts": {"ores": 3, "targets": 2},
+            "reasons": [reason("TOO_DARK")],
+        }
         for status in ("ok", "degraded", "failed", "empty", "ok")
     ]
     closing = Closing(records)
-    assert (closing.totals["ores"], closing.totals["targets"], closing.totals["frames"]) == (9, 6, 5)
+    assert (closing.totals["ores"], closing.totals["targets"], closing.totals["frames"]) == (
+        9,
+        6,
+        5,
+    )
     closing.check_usable()
 
 
@@ -155,7 +184,9 @@ def test_28_watch_padded_jpegs_do_not_wait(tmp_path: Path) -> None:
     assert frame.read().left.shape == (12, 16, 3)
 
 
-def test_what_was_waited_for_in_vain_says_so(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_what_was_waited_for_in_vain_says_so(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     save_pair(tmp_path, 0)
     path = tmp_path / "left000000.png"
     path.write_bytes(path.read_bytes()[:-8])
@@ -178,11 +209,14 @@ def test_a_watched_frame_was_taken_when_it_arrived(tmp_path: Path) -> None:
 def test_16_file_server_clock(
     skew_s: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Times of files are 8 s off this machine's, either way: the age of what arrives counts from its arrival."""
+    """Times of files are 8 s off this machine's, either way: the age of what arrives counts from
+    its arrival."""
     now_ns = time.time_ns
     monkeypatch.setattr(time, "time_ns", lambda: now_ns() + skew_s * 10**9)
     watch, stop, found = FolderWatch(tmp_path, poll_s=0.01), threading.Event(), []
-    thread = threading.Thread(target=lambda: found.extend(islice(watch.frames(Position(), stop), 2)))
+    thread = threading.Thread(
+        target=lambda: found.extend(islice(watch.frames(Position(), stop), 2))
+    )
     thread.start()
     time.sleep(0.2)
     save_pair(tmp_path, 0)
@@ -191,14 +225,18 @@ def test_16_file_server_clock(
     thread.join(10)
     stop.set()
     assert [0 <= frame.age_s < 5 for frame in found] == [True, True]
-    said = [entry.getMessage() for entry in caplog.records if "the clock of files" in entry.getMessage()]
+    said = [
+        entry.getMessage() for entry in caplog.records if "the clock of files" in entry.getMessage()
+    ]
     assert len(said) == 1
     assert f"8.0 s {'behind' if skew_s > 0 else 'ahead of'} this machine's" in said[0]
 
 
 def test_clocks_that_agree_are_no_news(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     watch, stop, found = FolderWatch(tmp_path, poll_s=0.01), threading.Event(), []
-    thread = threading.Thread(target=lambda: found.extend(islice(watch.frames(Position(), stop), 1)))
+    thread = threading.Thread(
+        target=lambda: found.extend(islice(watch.frames(Position(), stop), 1))
+    )
     thread.start()
     time.sleep(0.2)
     save_pair(tmp_path, 0)

@@ -26,7 +26,9 @@ def found(known: solids.Known) -> list[solids.Sample]:
     return list(solids.samples(known))
 
 
-def test_a_scene_is_seen_in_every_appearance(known: solids.Known, found: list[solids.Sample]) -> None:
+def test_a_scene_is_seen_in_every_appearance(
+    known: solids.Known, found: list[solids.Sample]
+) -> None:
     count = {name: sum(s.seen_as == name for s in found) for name in solids.WEIGHTS}
     assert count["true"] == count["outlined"] == len(known.bodies)
     assert all(count.values())
@@ -49,9 +51,14 @@ def law(seed: int) -> list[solids.Sample]:
     for scene in range(12):
         for _ in range(100):
             a, b, c, p, q = rng.normal(size=5)
-            truth = {t: k + 2 * a - c + 0.5 * b * b + 0.01 * rng.standard_t(2) for k, t in enumerate(prior.TARGETS)}
+            truth = {
+                t: k + 2 * a - c + 0.5 * b * b + 0.01 * rng.standard_t(2)
+                for k, t in enumerate(prior.TARGETS)
+            }
             cues = Cues({"a": a, "b": b, "c": c}, {"p": p, "q": q}, NO_DOUBT, 0.0, None, None)  # type: ignore[arg-type]
-            made.append(solids.Sample(f"{scene}", "measured", False, cues, truth | {"y": 0.5 * p}, 1.0))
+            made.append(
+                solids.Sample(f"{scene}", "measured", False, cues, truth | {"y": 0.5 * p}, 1.0)
+            )
     return made
 
 
@@ -60,7 +67,8 @@ def test_training_recovers_a_law_and_survives_its_file(tmp_path: Path) -> None:
     file = tmp_path / "prior.json"
     file.write_text(fitted.to_json())
     one, other = (
-        prior.load(file).estimate({"a": 1.0, "b": b, "c": 0.5}, {"p": 2.0, "q": 9.0}, NO_DOUBT).mean for b in (1.0, 2.0)
+        prior.load(file).estimate({"a": 1.0, "b": b, "c": 0.5}, {"p": 2.0, "q": 9.0}, NO_DOUBT).mean
+        for b in (1.0, 2.0)
     )
     for k, target in enumerate(prior.TARGETS):
         assert one[target] == pytest.approx(k + 2, abs=0.3)
@@ -71,10 +79,15 @@ def test_training_recovers_a_law_and_survives_its_file(tmp_path: Path) -> None:
 
 
 def test_a_cue_that_never_varies_does_no_harm(tmp_path: Path) -> None:
-    still = [dataclasses.replace(s, cues=dataclasses.replace(s.cues, even={**s.cues.even, "b": 1.0})) for s in law(4)]
+    still = [
+        dataclasses.replace(s, cues=dataclasses.replace(s.cues, even={**s.cues.even, "b": 1.0}))
+        for s in law(4)
+    ]
     file = tmp_path / "prior.json"
     file.write_text(shape_prior.train(still)[0].to_json())
-    estimate = prior.load(file).estimate({"a": 0.0, "b": 1.0, "c": 0.0}, {"p": 0.0, "q": 0.0}, NO_DOUBT)
+    estimate = prior.load(file).estimate(
+        {"a": 0.0, "b": 1.0, "c": 0.0}, {"p": 0.0, "q": 0.0}, NO_DOUBT
+    )
     assert np.isfinite(list(estimate.mean.values())).all()
 
 
@@ -89,7 +102,10 @@ def test_sigma_holds_errors_of_scenes_left_out() -> None:
 
 def test_a_scene_is_left_out_whole() -> None:
     """What is true of one scene alone is not learned for that scene."""
-    odd = [dataclasses.replace(s, truth={**s.truth, "z": 50.0}) if s.scene == "3" else s for s in law(3)]
+    odd = [
+        dataclasses.replace(s, truth={**s.truth, "z": 50.0}) if s.scene == "3" else s
+        for s in law(3)
+    ]
     _, errors = shape_prior.train(odd)
     alone = np.array([s.scene == "3" for s in odd])
     assert np.abs(errors[alone, 1]).min() > 20
@@ -108,7 +124,9 @@ def test_the_command_writes_a_prior_that_loads(
 
 def test_seeds_differ_in_family_and_lumps(monkeypatch: pytest.MonkeyPatch) -> None:
     specs = []
-    monkeypatch.setattr(solids.synth, "scene", lambda spec: specs.append(spec) or pytest.fail("made"))
+    monkeypatch.setattr(
+        solids.synth, "scene", lambda spec: specs.append(spec) or pytest.fail("made")
+    )
     for seed in range(solids.FIRST_SEED, solids.FIRST_SEED + 12):
         with pytest.raises(pytest.fail.Exception):
             solids.made(seed)
@@ -123,7 +141,9 @@ def test_true_depth_of_path_traced_scenes(shared_data: Path) -> None:
     for folder in sorted((shared_data / "scenes_dev").glob("*/")):
         scene = solids.recorded(folder)
         measured = solids._process(scene, scene.pair, scene.site)
-        found += solids._samples(scene, "true", solids._true(solids._outlined(measured, scene), scene))
+        found += solids._samples(
+            scene, "true", solids._true(solids._outlined(measured, scene), scene)
+        )
     quality = shape_prior.quality(found, _errors(found), prior.load())
     assert quality.lumps > 50
     assert quality.shift < 0.04
@@ -136,4 +156,6 @@ def test_true_depth_of_path_traced_scenes(shared_data: Path) -> None:
 def _errors(found: list[solids.Sample]) -> F64:
     estimates = [prior.load().estimate(s.cues.even, s.cues.odd, s.cues.doubts).mean for s in found]
     names = (*prior.TARGETS, "y")
-    return np.array([[mean[n] - s.truth[n] for n in names] for mean, s in zip(estimates, found, strict=True)])
+    return np.array(
+        [[mean[n] - s.truth[n] for n in names] for mean, s in zip(estimates, found, strict=True)]
+    )

@@ -23,7 +23,9 @@ def rigid(seed: int) -> np.ndarray:
 @settings(deadline=None)
 def test_inverse_undoes(seed: int) -> None:
     T, points = rigid(seed), np.random.default_rng(seed).normal(size=(5, 3))
-    np.testing.assert_allclose(transforms.apply(transforms.inverse(T), transforms.apply(T, points)), points, atol=1e-12)
+    np.testing.assert_allclose(
+        transforms.apply(transforms.inverse(T), transforms.apply(T, points)), points, atol=1e-12
+    )
 
 
 @given(seeds)

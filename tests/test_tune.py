@@ -27,14 +27,20 @@ from stereo_ore.stages.filters.scorer import read
 def cloud(seed: int = 0) -> LabelledCloud:
     rng = np.random.default_rng(seed)
     plane = np.column_stack([rng.uniform(0, 1, (700, 2)), rng.normal(0, 0.002, 700)])
-    off = np.column_stack([rng.uniform(0, 1, (100, 2)), rng.uniform(0.05, 0.4, 100) * rng.choice([-1, 1], 100)])
-    return LabelledCloud("plane", "cell", bare_cloud(np.concatenate([plane, off])), np.arange(800) >= 700)
+    off = np.column_stack(
+        [rng.uniform(0, 1, (100, 2)), rng.uniform(0.05, 0.4, 100) * rng.choice([-1, 1], 100)]
+    )
+    return LabelledCloud(
+        "plane", "cell", bare_cloud(np.concatenate([plane, off])), np.arange(800) >= 700
+    )
 
 
 @pytest.fixture
 def labelled_csv(tmp_path: Path) -> Path:
     made = cloud()
-    columns = {axis: made.voxels.xyz[:, i] for i, axis in enumerate("xyz")} | {"noise": made.is_noise.astype(np.uint8)}
+    columns = {axis: made.voxels.xyz[:, i] for i, axis in enumerate("xyz")} | {
+        "noise": made.is_noise.astype(np.uint8)
+    }
     path = tmp_path / "labelled.csv"
     clouds.write(path, clouds.from_columns(columns))
     return path
@@ -43,7 +49,9 @@ def labelled_csv(tmp_path: Path) -> Path:
 def test_cost_is_the_weighted_mean_of_the_losses() -> None:
     quality = FilterQuality(precision=0.9, recall=0.5, retention=0.8, f1=0.64)
     assert tune.CostWeights().cost(quality) == pytest.approx((0.1 + 0.5 + 0.2) / 3)
-    assert tune.CostWeights(precision=0, recall=3, retention=1).cost(quality) == pytest.approx((3 * 0.5 + 0.2) / 4)
+    assert tune.CostWeights(precision=0, recall=3, retention=1).cost(quality) == pytest.approx(
+        (3 * 0.5 + 0.2) / 4
+    )
     with pytest.raises(ConfigError, match="all weights are zero"):
         tune.CostWeights(precision=0, recall=0, retention=0).cost(quality)
 
@@ -53,7 +61,9 @@ def test_search_finds_the_best_of_a_small_grid() -> None:
     tuned = tune.search("statistical", clouds, weights)
     space = tune.SPACES["statistical"]
     costs = {
-        values: tune._mean_cost("statistical", dict(zip(space, values, strict=True)), clouds, weights)
+        values: tune._mean_cost(
+            "statistical", dict(zip(space, values, strict=True)), clouds, weights
+        )
         for values in itertools.product(*space.values())
     }
     assert tuned.cost <= sorted(costs.values())[2]
@@ -97,7 +107,8 @@ def test_command_writes_a_configuration_that_loads(labelled_csv: Path, tmp_path:
 
 
 @pytest.mark.parametrize(
-    ("text", "words"), [("recal: 1", "did you mean recall"), ("recall: -1", "recall: "), ("- 1", "mapping")]
+    ("text", "words"),
+    [("recal: 1", "did you mean recall"), ("recall: -1", "recall: "), ("- 1", "mapping")],
 )
 def test_bad_cost_files(labelled_csv: Path, tmp_path: Path, text: str, words: str) -> None:
     load_verbs()
@@ -116,13 +127,19 @@ def test_training_learns_and_repeats(monkeypatch: pytest.MonkeyPatch) -> None:
     assert scorer == scorers.train(clouds, "geometry")
     unseen = cloud(9)
     voxels, rows = filters.prepared(unseen.voxels)
-    quality = filter_quality(unseen.is_noise[rows], run_passes(gather(voxels.xyz, 16), scorer) > 0.5)
+    quality = filter_quality(
+        unseen.is_noise[rows], run_passes(gather(voxels.xyz, 16), scorer) > 0.5
+    )
     assert quality.f1 > 0.9
 
 
-def test_a_trained_scorer_says_where_it_comes_from_and_is_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_trained_scorer_says_where_it_comes_from_and_is_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     load_verbs()
-    monkeypatch.setitem(scorers.RECIPES, "geometry", scorers.Recipe(((scorers.Fit(4),),), 200, 2, 0.4))
+    monkeypatch.setitem(
+        scorers.RECIPES, "geometry", scorers.Recipe(((scorers.Fit(4),),), 200, 2, 0.4)
+    )
     monkeypatch.setattr(bare_clouds, "PIECES_A_SEED", 3)
     result = CliRunner().invoke(app, ["tune", str(tmp_path), "--train", "geometry", "--seeds", "1"])
     assert result.exit_code == 0, result.output

@@ -1,4 +1,5 @@
-"""What containers of videos say and leave out: how many pictures, which eye comes first, tracks, turns, times."""
+"""What containers of videos say and leave out: how many pictures, which eye comes first, tracks,
+turns, times."""
 
 import struct
 from pathlib import Path
@@ -22,7 +23,9 @@ GAPS = {"more than claimed": (10, 33), "fewer than claimed": (30, 200), "as clai
 
 
 def picture(number: int, eye: int) -> np.ndarray:
-    noise = np.random.default_rng([number, eye]).integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)
+    noise = np.random.default_rng([number, eye]).integers(
+        0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8
+    )
     return cv2.GaussianBlur(noise, (7, 7), 2)
 
 
@@ -36,7 +39,9 @@ def test_frames_are_what_decodes(suffix: str, gap: str, tmp_path: Path) -> None:
     rate, gap_ms = GAPS[gap]
     source = open_source(write_video(tmp_path / f"x{suffix}", both(6), rate, gap_ms))
     assert len(source.names) == 6
-    assert [source.stamp(n).ns - source.stamp(0).ns for n in range(6)] == [n * gap_ms * 10**6 for n in range(6)]
+    assert [source.stamp(n).ns - source.stamp(0).ns for n in range(6)] == [
+        n * gap_ms * 10**6 for n in range(6)
+    ]
     if suffix == ".mkv":  # lossless
         np.testing.assert_array_equal(source.read(5).right, picture(5, 1))
 
@@ -50,7 +55,9 @@ def test_a_longer_track_beside_makes_no_frames(tmp_path: Path) -> None:
         for image in both(12):
             container.mux(video.encode(av.VideoFrame.from_ndarray(image, format="bgr24")))
         container.mux(video.encode(None))
-        frame = av.AudioFrame.from_ndarray(np.zeros((1, 9 * 8000), np.int16), format="s16", layout="mono")
+        frame = av.AudioFrame.from_ndarray(
+            np.zeros((1, 9 * 8000), np.int16), format="s16", layout="mono"
+        )
         frame.sample_rate, frame.pts = 8000, 0
         container.mux(sound.encode(frame))
         container.mux(sound.encode(None))
@@ -86,7 +93,11 @@ def turned(data: bytes, degrees: int) -> bytes:
 # --- which eye comes first
 
 
-MODES = {"left_right": "left-right", "right_left": "right-left", "top_bottom": "over and under, left eye on top"}
+MODES = {
+    "left_right": "left-right",
+    "right_left": "right-left",
+    "top_bottom": "over and under, left eye on top",
+}
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -112,7 +123,14 @@ def frame_packing(arrangement: int, interpretation: int) -> bytes:
     """An access unit with a frame packing message before its picture; exp-Golomb 0 is the bit 1."""
     bits = f"1{0:01b}{arrangement:07b}0{interpretation:06b}"
     payload = int(bits.ljust(24, "0"), 2).to_bytes(3, "big")
-    return b"\0\0\0\1\x09\x10" + b"\0\0\1\x06" + bytes([45, len(payload)]) + payload + b"\x80" + b"\0\0\1\x65picture"
+    return (
+        b"\0\0\0\1\x09\x10"
+        + b"\0\0\1\x06"
+        + bytes([45, len(payload)])
+        + payload
+        + b"\x80"
+        + b"\0\0\1\x65picture"
+    )
 
 
 @pytest.mark.parametrize(
@@ -127,7 +145,9 @@ def frame_packing(arrangement: int, interpretation: int) -> bytes:
         (0, 1, "a checkerboard of both eyes"),
     ],
 )
-def test_frame_packing_messages(arrangement: int, interpretation: int, expected: str | None) -> None:
+def test_frame_packing_messages(
+    arrangement: int, interpretation: int, expected: str | None
+) -> None:
     assert packing_of(frame_packing(arrangement, interpretation)) == expected
 
 
@@ -150,7 +170,9 @@ def test_two_tracks_are_named(tmp_path: Path) -> None:
         for stream in streams:
             stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "bgr0"
         for eye, stream in enumerate(streams):
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture(0, eye), format="bgr24")))
+            container.mux(
+                stream.encode(av.VideoFrame.from_ndarray(picture(0, eye), format="bgr24"))
+            )
             container.mux(stream.encode(None))
     assert read_container(path).video_tracks == 2
     with pytest.raises(SourceError, match=r"has 2 video tracks.*-map 0:v:1 -c copy right\.mkv"):
@@ -190,7 +212,9 @@ def test_the_beginning_that_a_container_tells(tmp_path: Path) -> None:
 
 @given(st.binary(max_size=200))
 @settings(deadline=None)
-def test_any_bytes_behind_a_magic_are_a_container_that_says_something_or_nothing(content: bytes) -> None:
+def test_any_bytes_behind_a_magic_are_a_container_that_says_something_or_nothing(
+    content: bytes,
+) -> None:
     import tempfile
 
     with tempfile.TemporaryDirectory() as folder:
@@ -209,5 +233,7 @@ def test_any_bytes_behind_a_magic_are_a_container_that_says_something_or_nothing
 def test_a_box_without_content_says_nothing(kind: bytes, tmp_path: Path) -> None:
     path = tmp_path / "x.mp4"
     inner = struct.pack(">I4s", 8, kind)
-    path.write_bytes(struct.pack(">I4s8s", 16, b"ftyp", b"isom") + struct.pack(">I4s", 16, b"moov") + inner)
+    path.write_bytes(
+        struct.pack(">I4s8s", 16, b"ftyp", b"isom") + struct.pack(">I4s", 16, b"moov") + inner
+    )
     assert read_container(path) == Container()

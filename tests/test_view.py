@@ -14,7 +14,9 @@ from stereo_ore.draw.view import save_view
 from stereo_ore.errors import OutputError, SourceError
 from stereo_ore.io.results import Results
 
-HEADLESS = {key: value for key, value in os.environ.items() if key not in ("DISPLAY", "WAYLAND_DISPLAY")}
+HEADLESS = {
+    key: value for key, value in os.environ.items() if key not in ("DISPLAY", "WAYLAND_DISPLAY")
+}
 
 
 def run(*command: object) -> subprocess.CompletedProcess[str]:
@@ -32,7 +34,10 @@ def rerun_tool() -> str:
 def entities(path: Path) -> dict[str, int]:
     """Entity paths in a recording and how many chunks each has."""
     done = run(rerun_tool(), "rrd", "stats", path)
-    return {name: int(count) for name, count in re.findall(r"^(/\S+): (\d+)$", done.stdout, re.MULTILINE)}
+    return {
+        name: int(count)
+        for name, count in re.findall(r"^(/\S+): (\d+)$", done.stdout, re.MULTILINE)
+    }
 
 
 def test_recording_holds_everything_and_is_sound(tmp_path: Path) -> None:
@@ -45,7 +50,9 @@ def test_recording_holds_everything_and_is_sound(tmp_path: Path) -> None:
     assert run(tool, "rrd", "verify", path).returncode == 0
     found = entities(path)
     frame = ("cloud", "removed", "ores", "centres", "targets")
-    wanted = {f"/world/frame/{name}" for name in frame} | {f"/camera/{n}" for n in ("overlay", "disparity", "ore_map")}
+    wanted = {f"/world/frame/{name}" for name in frame} | {
+        f"/camera/{n}" for n in ("overlay", "disparity", "ore_map")
+    }
     wanted |= {"/world", "/world/camera", "/status", "/counts/pixels", "/counts/targets"}
     assert wanted <= found.keys()
     printed = run(tool, "rrd", "print", "-vvv", "--transposed", "true", path).stdout
@@ -61,7 +68,10 @@ def test_without_stages_and_ores_there_is_less_but_no_failure(tmp_path: Path) ->
     (folder / "calibration.yaml").unlink()
     found = entities(save_view(Results(folder), tmp_path / "run.rrd"))
     assert {"/world/frame/cloud", "/world/frame/ores"} <= found.keys()
-    assert not {"/world/frame/removed", "/camera/disparity", "/world/frame/targets", "/world/camera"} & found.keys()
+    assert (
+        not {"/world/frame/removed", "/camera/disparity", "/world/frame/targets", "/world/camera"}
+        & found.keys()
+    )
 
 
 def test_bad_places(tmp_path: Path) -> None:
@@ -78,16 +88,22 @@ def test_bad_places(tmp_path: Path) -> None:
 def test_no_display_says_what_to_do(tmp_path: Path) -> None:
     done = run("stereo-ore", "view", make_run(tmp_path / "run"))
     assert done.returncode == 1
-    assert done.stderr == "error: there is no display. Give --save FILE.rrd, and open that where there is one\n"
+    assert (
+        done.stderr
+        == "error: there is no display. Give --save FILE.rrd, and open that where there is one\n"
+    )
 
 
 def test_missing_extra_is_one_line(tmp_path: Path) -> None:
     folder = make_run(tmp_path / "run")
     code = (
-        "import sys; sys.modules['rerun'] = None\n"
-        f"from stereo_ore.cli import launch; launch(['view', {str(folder)!r}, '--save', {str(tmp_path / 'x.rrd')!r}])"
+        "import sys; sys.modules['rerun'] = None\nfrom stereo_ore.cli import launch;"
+        f" launch(['view', {str(folder)!r}, '--save', {str(tmp_path / 'x.rrd')!r}])"
     )
     done = run(sys.executable, "-c", code)
     assert done.returncode == 1
-    assert done.stderr == 'error: the optional package rerun-sdk is not installed. pip install "stereo-ore[view]"\n'
+    assert (
+        done.stderr == "error: the optional package rerun-sdk is not installed. pip install"
+        ' "stereo-ore[view]"\n'
+    )
     assert not (tmp_path / "x.rrd").exists()

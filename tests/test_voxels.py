@@ -27,14 +27,18 @@ def cloud_of(xyz: np.ndarray) -> PointCloud:
 def disparity_with(texture: np.ndarray) -> Disparity:
     cue = np.zeros((48, 64), np.float32)
     cue.ravel()[: len(texture)] = texture
-    return Disparity(np.ones((48, 64), np.float32), REGION, np.ones((48, 64), np.float32), {"texture": cue})
+    return Disparity(
+        np.ones((48, 64), np.float32), REGION, np.ones((48, 64), np.float32), {"texture": cue}
+    )
 
 
 def random_points(seed: int, n: int = 500) -> np.ndarray:
     return np.random.default_rng(seed).uniform([-0.3, -0.2, 0.8], [0.3, 0.2, 1.0], (n, 3))
 
 
-@given(st.integers(0, 50), st.sampled_from([0.004, 0.02, 0.1, 2.0]), st.sampled_from([0, 1, 7, 400]))
+@given(
+    st.integers(0, 50), st.sampled_from([0.004, 0.02, 0.1, 2.0]), st.sampled_from([0, 1, 7, 400])
+)
 @settings(deadline=None, max_examples=40)
 def test_voxels_are_what_a_dictionary_of_cells_gives(seed: int, size: float, n: int) -> None:
     cloud = cloud_of(random_points(seed, n))
@@ -50,7 +54,9 @@ def test_voxels_are_what_a_dictionary_of_cells_gives(seed: int, size: float, n: 
         assert (grid.inverse[m] == voxel).all()
         np.testing.assert_allclose(grid.xyz[voxel], cloud.xyz[m].mean(0), rtol=1e-5, atol=1e-6)
         np.testing.assert_allclose(grid.sigma_z[voxel], cloud.sigma_z[m].mean(), rtol=1e-5)
-        np.testing.assert_allclose(grid.cues["texture"][voxel], texture[m].mean(), rtol=1e-4, atol=1e-6)
+        np.testing.assert_allclose(
+            grid.cues["texture"][voxel], texture[m].mean(), rtol=1e-4, atol=1e-6
+        )
     np.testing.assert_allclose(grid.pixel_m, grid.xyz[:, 2] / RIG.fx, rtol=1e-6)
 
 
@@ -59,7 +65,9 @@ def test_voxels_are_what_a_dictionary_of_cells_gives(seed: int, size: float, n: 
 def test_the_order_of_the_points_does_not_matter(seed: int) -> None:
     xyz = random_points(1)
     order = np.random.default_rng(seed).permutation(len(xyz))
-    a, b = (voxelise(cloud_of(p), disparity_with(np.zeros(0)), RIG, 0.03) for p in (xyz, xyz[order]))
+    a, b = (
+        voxelise(cloud_of(p), disparity_with(np.zeros(0)), RIG, 0.03) for p in (xyz, xyz[order])
+    )
     np.testing.assert_allclose(a.xyz, b.xyz, rtol=1e-6)
     np.testing.assert_array_equal(a.inverse[order], b.inverse)
 
@@ -67,13 +75,17 @@ def test_the_order_of_the_points_does_not_matter(seed: int) -> None:
 def test_the_grid_is_anchored_so_a_far_point_regrids_nothing() -> None:
     xyz = random_points(2)
     a = voxelise(cloud_of(xyz), disparity_with(np.zeros(0)), RIG, 0.02)
-    b = voxelise(cloud_of(np.vstack([xyz, [-5.003, -4.001, 19.0]])), disparity_with(np.zeros(0)), RIG, 0.02)
+    b = voxelise(
+        cloud_of(np.vstack([xyz, [-5.003, -4.001, 19.0]])), disparity_with(np.zeros(0)), RIG, 0.02
+    )
     assert len(b) == len(a) + 1
     np.testing.assert_array_equal(a.xyz, b.xyz[1:])
 
 
 def test_duplicates_share_a_voxel() -> None:
-    grid = voxelise(cloud_of(np.tile([[0.1, 0.2, 1.0]], (300, 1))), disparity_with(np.zeros(0)), RIG, 0.01)
+    grid = voxelise(
+        cloud_of(np.tile([[0.1, 0.2, 1.0]], (300, 1))), disparity_with(np.zeros(0)), RIG, 0.01
+    )
     assert grid.count.tolist() == [300]
 
 

@@ -25,7 +25,8 @@ _MODEL_FLAGS = {4: cv2.CALIB_FIX_K3, 5: 0, 8: cv2.CALIB_RATIONAL_MODEL}
 
 @dataclass(frozen=True)
 class BoardView:
-    """One pair of images: the corners that both eyes see, ids (N,), pixels (N, 2); or why there are none.
+    """One pair of images: the corners that both eyes see, ids (N,), pixels (N, 2); or why there are
+    none.
 
     `legacy`: they were found in the ChArUco layout of OpenCV before 4.6.
     """
@@ -53,8 +54,9 @@ class BoardView:
 class BoardResult:
     """The calibration and its witnesses.
 
-    `rms_px` is the reprojection error over both eyes, `vertical_rms_px` the row difference of corresponding corners
-    after rectification, `coverage` (2,) the share of each image in which corners were seen.
+    `rms_px` is the reprojection error over both eyes, `vertical_rms_px` the row difference of
+    corresponding corners after rectification, `coverage` (2,) the share of each image in which
+    corners were seen.
     """
 
     calibration: StereoCalibration
@@ -70,14 +72,18 @@ class BoardResult:
 
 
 def find_view(name: str, left: U8, right: U8, board: Board) -> BoardView:
-    """The board in a pair of grey images; of a ChArUco board, in the layout in which more corners are found."""
+    """The board in a pair of grey images; of a ChArUco board, in the layout in which more corners
+    are found.
+    """
     trials = [_find_view(name, left, right, layout) for layout in board.layouts]
     return max(trials, key=lambda view: 0 if view.corners is None else len(view.corners[0].ids))
 
 
 def _find_view(name: str, left: U8, right: U8, board: Board) -> BoardView:
     found = find_corners(left, board), find_corners(right, board)
-    missing = [eye for eye, corners in zip(("left", "right"), found, strict=True) if corners is None]
+    missing = [
+        eye for eye, corners in zip(("left", "right"), found, strict=True) if corners is None
+    ]
     if found[0] is None or found[1] is None:
         return BoardView(name, reason=f"no board found in the {' and '.join(missing)} image")
     ids, i, j = np.intersect1d(found[0].ids, found[1].ids, return_indices=True)
@@ -88,21 +94,30 @@ def _find_view(name: str, left: U8, right: U8, board: Board) -> BoardView:
 
 
 def one_layout(views: Sequence[BoardView]) -> list[BoardView]:
-    """The views, without those in whose layout the fewer corners were found: a board has one layout."""
+    """The views, without those in whose layout the fewer corners were found: a board has one
+    layout.
+    """
     corners = [
-        sum(len(v.corners[0].ids) for v in views if v.corners and v.legacy is legacy) for legacy in (False, True)
+        sum(len(v.corners[0].ids) for v in views if v.corners and v.legacy is legacy)
+        for legacy in (False, True)
     ]
     legacy = corners[1] > corners[0]
     reason = "corners fit the other layout of ChArUco boards only"
     return [
-        view if view.corners is None or view.legacy is legacy else BoardView(view.name, reason=reason) for view in views
+        (
+            view
+            if view.corners is None or view.legacy is legacy
+            else BoardView(view.name, reason=reason)
+        )
+        for view in views
     ]
 
 
 def calibrate_stereo(
     views: Sequence[BoardView], board: Board, image_size: tuple[int, int], coefficients: int = 5
 ) -> BoardResult:
-    """Intrinsics of both eyes, then all together with their pose; outlying views dropped one after the other.
+    """Intrinsics of both eyes, then all together with their pose; outlying views dropped one after
+    the other.
 
     Parameters
     ----------
@@ -133,11 +148,16 @@ def calibrate_stereo(
             for view, (left, right) in zip(used, errors, strict=True)
         ]
         kept = _merge(kept, rated)
-        limit = max(OUTLIER_FLOOR_PX, OUTLIER_FACTOR * float(np.median([view.worst_px for view in rated])))
+        limit = max(
+            OUTLIER_FLOOR_PX, OUTLIER_FACTOR * float(np.median([view.worst_px for view in rated]))
+        )
         worst = max(rated, key=lambda view: view.worst_px)
         if worst.worst_px <= limit:
             break
-        reason = f"error {worst.worst_px:.2f} px, more than {limit:.2f} px; was the board or a camera moving?"
+        reason = (
+            f"error {worst.worst_px:.2f} px, more than {limit:.2f} px; was the board or a camera"
+            " moving?"
+        )
         kept = _merge(kept, [replace(worst, reason=reason)])
     return _judge(calibration, kept, rms)
 
@@ -155,12 +175,20 @@ def _solve(
     flat = [board.points[left.ids].astype(np.float32) for left, _ in corners]
     lefts, rights = ([pair[eye].px.astype(np.float32) for pair in corners] for eye in (0, 1))
     flags = _MODEL_FLAGS[coefficients]
-    cameras = [cv2.calibrateCamera(flat, seen, size, None, None, flags=flags)[1:3] for seen in (lefts, rights)]
+    cameras = [
+        cv2.calibrateCamera(flat, seen, size, None, None, flags=flags)[1:3]
+        for seen in (lefts, rights)
+    ]
     (K1, D1), (K2, D2) = cameras
     start = np.eye(3), np.zeros((3, 1))
     together = cv2.CALIB_USE_INTRINSIC_GUESS | flags
-    solution = cv2.stereoCalibrateExtended(flat, lefts, rights, K1, D1, K2, D2, size, *start, flags=together)
-    rms, (K1, D1, K2, D2, R, t) = solution[0], (np.asarray(part, np.float64) for part in solution[1:7])
+    solution = cv2.stereoCalibrateExtended(
+        flat, lefts, rights, K1, D1, K2, D2, size, *start, flags=together
+    )
+    rms, (K1, D1, K2, D2, R, t) = (
+        solution[0],
+        (np.asarray(part, np.float64) for part in solution[1:7]),
+    )
     calibration = make_calibration(
         "calibration from boards",
         image_size=size,
@@ -175,7 +203,9 @@ def _solve(
 
 def _camera(K: F64, D: F64, coefficients: int) -> CameraModel:
     distortion = tuple(float(k) for k in np.ravel(D)[:coefficients])
-    return CameraModel((float(K[0, 0]), float(K[1, 1])), (float(K[0, 2]), float(K[1, 2])), distortion)
+    return CameraModel(
+        (float(K[0, 0]), float(K[1, 1])), (float(K[0, 2]), float(K[1, 2])), distortion
+    )
 
 
 def _judge(calibration: StereoCalibration, views: Sequence[BoardView], rms: float) -> BoardResult:
@@ -189,7 +219,10 @@ def _judge(calibration: StereoCalibration, views: Sequence[BoardView], rms: floa
         judged.append(replace(view, vertical_rms_px=vertical))
     used = [view for view in judged if view.used]
     overall = float(np.sqrt(np.mean([view.vertical_rms_px**2 for view in used])))
-    coverage = (_coverage(used, 0, calibration.image_size), _coverage(used, 1, calibration.image_size))
+    coverage = (
+        _coverage(used, 0, calibration.image_size),
+        _coverage(used, 1, calibration.image_size),
+    )
     return BoardResult(calibration, tuple(judged), rms, overall, coverage)
 
 
@@ -211,7 +244,9 @@ def draw_coverage(result: BoardResult, path: Path) -> None:
         colour = cv2.cvtColor(hue, cv2.COLOR_HSV2BGR)[0, 0].tolist() if view.used else [0, 0, 255]
         for eye in (0, 1):
             for x, y in view.corners[eye].px + np.array([eye * width, 0]):
-                cv2.circle(canvas, (round(x), round(y)), max(2, width // 320), colour, -1, cv2.LINE_AA)
+                cv2.circle(
+                    canvas, (round(x), round(y)), max(2, width // 320), colour, -1, cv2.LINE_AA
+                )
     cv2.line(canvas, (width, 0), (width, height), (0, 0, 0), 2)
     path.write_bytes(cv2.imencode(".png", canvas)[1].tobytes())
 
@@ -220,13 +255,20 @@ def report(result: BoardResult) -> str:
     """Lines of text: a row a view, then the sums."""
     rows = [f"{'view':<20} {'left px':>8} {'right px':>8} {'rows px':>8}"]
     for view in result.views:
-        errors = f"{view.left_rms_px:8.3f} {view.right_rms_px:8.3f} {view.vertical_rms_px:8.3f}" if view.corners else ""
+        errors = (
+            f"{view.left_rms_px:8.3f} {view.right_rms_px:8.3f} {view.vertical_rms_px:8.3f}"
+            if view.corners
+            else ""
+        )
         rows.append(f"{view.name:<20} {errors}{f'  dropped: {view.reason}' if view.reason else ''}")
     baseline = 1000 * float(np.linalg.norm(result.calibration.t_right_left))
     rows += [
         "",
         f"{len(result.used)} of {len(result.views)} views used",
-        f"reprojection RMS {result.rms_px:.3f} px, rows after rectification {result.vertical_rms_px:.3f} px",
+        (
+            f"reprojection RMS {result.rms_px:.3f} px, rows after rectification"
+            f" {result.vertical_rms_px:.3f} px"
+        ),
         f"baseline {baseline:.2f} mm",
         "corners cover {:.0%} of the left and {:.0%} of the right image".format(*result.coverage),
     ]

@@ -1,4 +1,6 @@
-"""Is this calibration right for this pair? Numbers, findings and a verdict from the user's own images."""
+"""Is this calibration right for this pair? Numbers, findings and a verdict from the user's own
+images.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,8 @@ Verdict = Literal["good", "suspect", "wrong", "unclear"]
 
 CONVERGENCE_LIMIT_PX = 1.5
 CONVERGENCE_SIGMAS = 10.0
-"""A turn about the vertical axis counts when it moves disparities by this much and is this certain."""
+"""A turn about the vertical axis counts when it moves disparities by this much and is this
+certain."""
 
 NEGATIVE_SHARE = 0.02
 OFFSET_SHARE = 0.01
@@ -37,7 +40,9 @@ _LEAST_LEAD = 0.05
 
 @dataclass(frozen=True)
 class Known:
-    """A point whose straight distance [m] from the left eye was measured: its pixel in the recorded left image."""
+    """A point whose straight distance [m] from the left eye was measured: its pixel in the recorded
+    left image.
+    """
 
     u: float
     v: float
@@ -46,7 +51,9 @@ class Known:
 
 @dataclass(frozen=True)
 class Measured:
-    """What the images say about a `Known`: disparities [px] and distances [m], measured and as it should be."""
+    """What the images say about a `Known`: disparities [px] and distances [m], measured and as it
+    should be.
+    """
 
     known: Known
     disparity_px: float
@@ -84,7 +91,9 @@ class CheckResult:
         return min(severities, key=("unclear", "wrong", "suspect").index, default="good")
 
 
-def check_pair(pair: StereoPair, calibration: StereoCalibration, known: Sequence[Known] = ()) -> CheckResult:
+def check_pair(
+    pair: StereoPair, calibration: StereoCalibration, known: Sequence[Known] = ()
+) -> CheckResult:
     """Judge a calibration by a recorded pair.
 
     Parameters
@@ -106,7 +115,9 @@ def check_pair(pair: StereoPair, calibration: StereoCalibration, known: Sequence
     result = check_matches(match_features(_grey(pair.left), _grey(pair.right)), calibration)
     rectified = rectify(pair, make_rectifier(calibration))
     measured = tuple(_measure(point, rectified, calibration) for point in known)
-    return replace(result, findings=(*result.findings, *offset_findings(measured)), measured=measured)
+    return replace(
+        result, findings=(*result.findings, *offset_findings(measured)), measured=measured
+    )
 
 
 def check_matches(matches: Matches, calibration: StereoCalibration) -> CheckResult:
@@ -121,42 +132,65 @@ def _grey(image: U8) -> U8:
 
 def _residual(matches: Matches, calibration: StereoCalibration) -> RowResidual:
     """Row differences of recorded matches, were `calibration` right; cheap enough to try many."""
-    return residual_of_matches(*rectify_points(calibration, *matches), make_rectifier(calibration).rig)
+    return residual_of_matches(
+        *rectify_points(calibration, *matches), make_rectifier(calibration).rig
+    )
 
 
 def _row_findings(
     residual: RowResidual, matches: Matches, calibration: StereoCalibration, rig: Rig
 ) -> Iterator[Finding]:
     if not residual.enough:
-        text = f"only {residual.matched} features match; take a pair of a still scene with light and texture"
+        text = (
+            f"only {residual.matched} features match; take a pair of a still scene with light and"
+            " texture"
+        )
         yield Finding("FEW_MATCHES", "unclear", text)
         return
     swapped = residual.negative_share > 0.5
     if swapped and residual.aligned:
-        yield Finding("SWAPPED_EYES", "wrong", "the scene lies behind the camera: left and right are swapped")
+        yield Finding(
+            "SWAPPED_EYES", "wrong", "the scene lies behind the camera: left and right are swapped"
+        )
     if not residual.aligned:
         text = f"rows differ by {residual.systematic_px:.2f} px, allowed are {LIMIT_PX} px"
         yield Finding("ROWS", "wrong", text)
         yield from _diagnose(matches, calibration)
     if not swapped and residual.negative_share > NEGATIVE_SHARE:
-        text = f"{residual.negative_share:.0%} of the matches lie behind the camera; is there a disparity offset?"
+        text = (
+            f"{residual.negative_share:.0%} of the matches lie behind the camera; is there a"
+            " disparity offset?"
+        )
         yield Finding("NEGATIVE_DISPARITIES", "suspect", text)
-    turn, sigma = (float(array[1]) * rig.fx for array in (residual.rotation_rad, residual.rotation_sigma_rad))
+    turn, sigma = (
+        float(array[1]) * rig.fx for array in (residual.rotation_rad, residual.rotation_sigma_rad)
+    )
     if abs(turn) > max(CONVERGENCE_LIMIT_PX, CONVERGENCE_SIGMAS * sigma):
-        text = f"the eyes converge differently: disparities are off by {-turn:+.1f} ± {sigma:.1f} px, more at the sides"
+        text = (
+            f"the eyes converge differently: disparities are off by {-turn:+.1f} ± {sigma:.1f} px,"
+            " more at the sides"
+        )
         yield Finding("CONVERGENCE", "wrong", text)
 
 
 def _diagnose(matches: Matches, calibration: StereoCalibration) -> Iterator[Finding]:
     """Which simple mistake, undone, makes the rows agree."""
     if calibration.images == "rectified":
-        text = "the images are not rectified as this file says: use the raw calibration with images: raw"
+        text = (
+            "the images are not rectified as this file says: use the raw calibration with"
+            " images: raw"
+        )
         yield Finding("MISSING_RECTIFICATION", "suspect", text)
         return
     exchanged = matches[1], matches[0]
     inverted = replace(calibration, R_right_left=calibration.R_right_left.T)
     trials = (
-        ("DOUBLE_RECTIFICATION", matches, _as_rectified(calibration), "the images are rectified already"),
+        (
+            "DOUBLE_RECTIFICATION",
+            matches,
+            _as_rectified(calibration),
+            "the images are rectified already",
+        ),
         ("SWAPPED_EYES", exchanged, calibration, "the rows agree with left and right exchanged"),
         ("INVERTED_ROTATION", matches, inverted, "the rows agree with the inverse of the rotation"),
     )
@@ -176,7 +210,14 @@ def _as_rectified(calibration: StereoCalibration) -> StereoCalibration:
         projection="pinhole",
     )
     shift = np.array([-rig.baseline_m, 0.0, 0.0])
-    return replace(calibration, left=eye, right=eye, R_right_left=np.eye(3), t_right_left=shift, images="rectified")
+    return replace(
+        calibration,
+        left=eye,
+        right=eye,
+        R_right_left=np.eye(3),
+        t_right_left=shift,
+        images="rectified",
+    )
 
 
 def _measure(known: Known, pair: RectifiedPair, calibration: StereoCalibration) -> Measured:
@@ -187,15 +228,19 @@ def _measure(known: Known, pair: RectifiedPair, calibration: StereoCalibration) 
     found = patch_disparity(_grey(pair.left), _grey(pair.right), at)
     if found is None:
         problem = (
-            f"the surroundings of pixel {known.u:g}, {known.v:g} match nothing, or several places, in the right image"
+            f"the surroundings of pixel {known.u:g}, {known.v:g} match nothing, or several places,"
+            " in the right image"
         )
-        raise CalibrationError(problem, key="--known", remedy="Take a point on a textured surface that both eyes see")
+        raise CalibrationError(
+            problem, key="--known", remedy="Take a point on a textured surface that both eyes see"
+        )
     disparity = found + rig.disparity_offset_px
     return Measured(known, disparity, expected, float(rig.depth(disparity) * np.linalg.norm(ray)))
 
 
 def patch_disparity(left: U8, right: U8, at: F64, rows: int = 2) -> float | None:
-    """Disparity [px] of the patch around pixel (u, v) of the left image, found along the row; None where nothing fits.
+    """Disparity [px] of the patch around pixel (u, v) of the left image, found along the row; None
+    where nothing fits.
 
     Normalised cross-correlation, a parabola through the best column.
     """
@@ -210,7 +255,10 @@ def patch_disparity(left: U8, right: U8, at: F64, rows: int = 2) -> float | None
     scores = np.asarray(cv2.matchTemplate(band, patch, cv2.TM_CCOEFF_NORMED), np.float64).max(0)
     best = int(np.argmax(scores))
     others = np.delete(scores, range(max(best - 4, 0), min(best + 5, len(scores))))
-    if scores[best] < max(_LEAST_SCORE, others.max() + _LEAST_LEAD) or not 0 < best < len(scores) - 1:
+    if (
+        scores[best] < max(_LEAST_SCORE, others.max() + _LEAST_LEAD)
+        or not 0 < best < len(scores) - 1
+    ):
         return None
     below, peak, above = scores[best - 1 : best + 2]
     curvature = below - 2 * peak + above
@@ -229,7 +277,8 @@ def offset_findings(measured: Sequence[Measured]) -> Iterator[Finding]:
     text = f"disparities are off by {-offset:+.2f} px at the known distances"
     if len(measured) == 1:
         remedy = (
-            f"add {offset:+.2f} to disparity_offset_px, or, if other distances disagree, mend baseline or focal length"
+            f"add {offset:+.2f} to disparity_offset_px, or, if other distances disagree, mend"
+            " baseline or focal length"
         )
         yield Finding("DISPARITY_OFFSET", "wrong", f"{text}; {remedy}")
         return
@@ -238,11 +287,15 @@ def offset_findings(measured: Sequence[Measured]) -> Iterator[Finding]:
         text += f"; they are {scale:.3f} times the right ones and {constant:+.2f} px"
         yield Finding("DISPARITY_SCALE", "wrong", f"{text}: mend focal length or baseline first")
     else:
-        yield Finding("DISPARITY_OFFSET", "wrong", f"{text}; add {offset:+.2f} to disparity_offset_px")
+        yield Finding(
+            "DISPARITY_OFFSET", "wrong", f"{text}; add {offset:+.2f} to disparity_offset_px"
+        )
 
 
 def _line(measured: Sequence[Measured]) -> tuple[float, float]:
-    """Scale and constant of measured over expected disparities; NaN when the distances are too alike."""
+    """Scale and constant of measured over expected disparities; NaN when the distances are too
+    alike.
+    """
     expected = np.array([point.expected_px for point in measured])
     if np.ptp(expected) < 0.2 * expected.max():
         return float("nan"), float("nan")

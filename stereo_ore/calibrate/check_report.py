@@ -13,23 +13,33 @@ from stereo_ore.types import U8
 
 
 def report(result: CheckResult) -> str:
-    """Lines of text: numbers, the map of row differences, known distances, findings, the verdict."""
+    """Lines of text: numbers, the map of row differences, known distances, findings, the
+    verdict.
+    """
     residual, rig = result.residual, result.rig
     lines = [f"matched features        {residual.matched}, {residual.used} of them agree"]
     if residual.enough:
         turn, sigma = np.degrees(residual.rotation_rad), np.degrees(residual.rotation_sigma_rad)
         low, middle, high = residual.disparity_px
         lines += [
-            f"row difference          median {residual.median_px:+.2f} px, systematic {residual.systematic_px:.2f} px "
-            f"(wrong from {LIMIT_PX} px), noise {residual.noise_px:.2f} px",
+            (
+                f"row difference          median {residual.median_px:+.2f} px, systematic"
+                f" {residual.systematic_px:.2f} px (wrong from {LIMIT_PX} px), noise"
+                f" {residual.noise_px:.2f} px"
+            ),
             "implied turn            "
             + ", ".join(f"{a:+.4f} ± {s:.4f}" for a, s in zip(turn, sigma, strict=True))
             + " degrees about x, y, z",
-            f"disparity               {low:.1f} … {middle:.1f} … {high:.1f} px, "
-            f"distance {' … '.join(_metres(float(rig.depth(d))) for d in (high, middle, low))}",
+            (
+                f"disparity               {low:.1f} … {middle:.1f} … {high:.1f} px, "
+                f"distance {' … '.join(_metres(float(rig.depth(d))) for d in (high, middle, low))}"
+            ),
             "",
             "row differences over the image [px]:",
-            *(" ".join("    ·" if np.isnan(cell) else f"{cell:+5.2f}" for cell in row) for row in residual.map_px),
+            *(
+                " ".join("    ·" if np.isnan(cell) else f"{cell:+5.2f}" for cell in row)
+                for row in residual.map_px
+            ),
         ]
     for point in result.measured:
         lines.append(
@@ -37,7 +47,9 @@ def report(result: CheckResult) -> str:
             f"measured {_metres(point.distance_m, 3)}, disparity {point.disparity_px:.2f} px, "
             f"should be {point.expected_px:.2f} px"
         )
-    findings = [f"{finding.severity}: {finding.code}: {finding.text}" for finding in result.findings]
+    findings = [
+        f"{finding.severity}: {finding.code}: {finding.text}" for finding in result.findings
+    ]
     return "\n".join([*lines, "", *findings, f"verdict: {result.verdict}"])
 
 
@@ -47,7 +59,9 @@ def _metres(distance: float, digits: int = 2) -> str:
 
 
 def draw(result: CheckResult, left: U8, path: Path) -> None:
-    """Write a PNG: the cells of the image, green where rows agree and red where they do not, with the number."""
+    """Write a PNG: the cells of the image, green where rows agree and red where they do not, with
+    the number.
+    """
     canvas = left.copy()
     cells = result.residual.map_px
     rows, columns = cells.shape

@@ -1,7 +1,7 @@
 """Hand-eye calibration from poses of the arm with a board: A·X·B = Y with X, Y unknown.
 
-Camera fixed, board on the tool: A = T_tool_arm, X = T_arm_camera, Y = T_tool_board. Camera on the tool, board on the
-ground: A = T_arm_tool, X = T_tool_camera, Y = T_arm_board. B = T_camera_board.
+Camera fixed, board on the tool: A = T_tool_arm, X = T_arm_camera, Y = T_tool_board. Camera on the
+tool, board on the ground: A = T_arm_tool, X = T_tool_camera, Y = T_arm_board. B = T_camera_board.
 """
 
 from __future__ import annotations
@@ -25,15 +25,18 @@ from stereo_ore.types import F64, Rig, StereoCalibration
 
 FEWEST_POSES = 3
 LEAST_TURN_RAD = 0.1
-"""Spread of the turns about the second axis; turns about one axis alone leave a shift along it open."""
+"""Spread of the turns about the second axis; turns about one axis alone leave a shift along it
+open."""
 
 OUTLIER_FACTOR = 4.0
 OUTLIER_FLOOR_MM = 5.0
 ROBUST_M = 0.001
-"""Distance beyond which a corner pulls with a constant force, so that a wrong pose stands out from the others."""
+"""Distance beyond which a corner pulls with a constant force, so that a wrong pose stands out from
+the others."""
 
 LIMIT_FACTOR = 6.0
-"""A good fit leaves this many times the board's own residual at most; arms are less certain than boards."""
+"""A good fit leaves this many times the board's own residual at most; arms are less certain than
+boards."""
 
 METHODS = ("TSAI", "PARK", "HORAUD", "ANDREFF", "DANIILIDIS")
 
@@ -63,8 +66,8 @@ def fit_hand_eye(
 ) -> HandEyeResult:
     """The camera's pose in the arm frame (`mount` fixed) or in the tool frame (`mount` tool).
 
-    All closed-form methods at hand are tried; from the best, by the spread of the board's corners, the least spread
-    is sought together with the board's own pose.
+    All closed-form methods at hand are tried; from the best, by the spread of the board's corners,
+    the least spread is sought together with the board's own pose.
 
     Raises
     ------
@@ -85,15 +88,19 @@ def fit_hand_eye(
         if spread[worst] <= limit:
             names = tuple(view.name for view in views)
             own = board_poses(views, board, calibration)[1]
-            return HandEyeResult(X, f"{method}, least spread of the corners", names, spread, used, own)
+            return HandEyeResult(
+                X, f"{method}, least spread of the corners", names, spread, used, own
+            )
         used = used & (np.arange(len(seen)) != worst)
 
 
-def board_poses(views: Sequence[ArmView], board: Board, calibration: StereoCalibration) -> tuple[list[F64], float]:
+def board_poses(
+    views: Sequence[ArmView], board: Board, calibration: StereoCalibration
+) -> tuple[list[F64], float]:
     """``T_camera_board`` of each view, and the residual [mm] that a good fit may have.
 
-    That is `LIMIT_FACTOR` times the root mean square distance of the triangulated corners from the fitted board: what
-    the images allow, whatever the arm says.
+    That is `LIMIT_FACTOR` times the root mean square distance of the triangulated corners from the
+    fitted board: what the images allow, whatever the arm says.
     """
     rig = make_rectifier(calibration).rig
     poses, squares = [], []
@@ -103,10 +110,16 @@ def board_poses(views: Sequence[ArmView], board: Board, calibration: StereoCalib
         seen = triangulate(calibration, view.left.px[i], view.right.px[j])
         squares.append(((apply(B, board.points[ids]) - seen) ** 2).sum(1))
         poses.append(B)
-    return poses, LIMIT_FACTOR * 1000 * float(np.sqrt(np.nanmean(np.concatenate(squares)))) if squares else float("nan")
+    return poses, (
+        LIMIT_FACTOR * 1000 * float(np.sqrt(np.nanmean(np.concatenate(squares))))
+        if squares
+        else float("nan")
+    )
 
 
-def _see(view: ArmView, board: Board, calibration: StereoCalibration, rig: Rig, mount: Mount) -> _Seen:
+def _see(
+    view: ArmView, board: Board, calibration: StereoCalibration, rig: Rig, mount: Mount
+) -> _Seen:
     ids, i, j = np.intersect1d(view.left.ids, view.right.ids, return_indices=True)
     corners = board.points[ids]
     left, right = rectify_points(calibration, view.left.px[i], view.right.px[j])
@@ -120,12 +133,19 @@ def _see(view: ArmView, board: Board, calibration: StereoCalibration, rig: Rig, 
 def _check_poses(seen: Sequence[_Seen]) -> None:
     if len(seen) < FEWEST_POSES:
         remedy = "Move the arm to ten or more poses that show the board"
-        raise CalibrationError(f"{len(seen)} poses, {FEWEST_POSES} are needed", key="poses", remedy=remedy)
+        raise CalibrationError(
+            f"{len(seen)} poses, {FEWEST_POSES} are needed", key="poses", remedy=remedy
+        )
     turns = np.array([to_vector(A)[:3] for A, _ in _motions(seen)])
     second = np.linalg.svd(turns, compute_uv=False)[1] / np.sqrt(len(turns))
     if second < LEAST_TURN_RAD:
-        problem = f"the poses turn about one axis only (about a second one by {np.degrees(second):.1f}° on average)"
-        raise CalibrationError(problem, key="poses", remedy="Tilt the tool about two different axes, by 20° and more")
+        problem = (
+            f"the poses turn about one axis only (about a second one by {np.degrees(second):.1f}°"
+            " on average)"
+        )
+        raise CalibrationError(
+            problem, key="poses", remedy="Tilt the tool about two different axes, by 20° and more"
+        )
 
 
 def _motions(seen: Sequence[_Seen]) -> list[tuple[F64, F64]]:
@@ -153,7 +173,9 @@ def _closed_form(seen: Sequence[_Seen], board: Board) -> tuple[F64, str]:
 
 
 def _park(seen: Sequence[_Seen]) -> F64:
-    """Park & Martin 1994: the rotation from the axes of the motions, then the shift by least squares."""
+    """Park & Martin 1994: the rotation from the axes of the motions, then the shift by least
+    squares.
+    """
     motions = _motions(seen)
     axes_A, axes_B = (np.array([to_vector(pair[side])[:3] for pair in motions]) for side in (0, 1))
     X = np.eye(4)
@@ -165,9 +187,16 @@ def _park(seen: Sequence[_Seen]) -> F64:
 
 
 def _opencv(seen: Sequence[_Seen], method: str) -> F64:
-    A, B = ([(T[:3, :3], T[:3, 3]) for T in side] for side in zip(*((item.A, item.B) for item in seen), strict=True))
+    A, B = (
+        [(T[:3, :3], T[:3, 3]) for T in side]
+        for side in zip(*((item.A, item.B) for item in seen), strict=True)
+    )
     solve: Any = getattr(cv2, "calibrateHandEye")  # noqa: B009 - absent from the type stubs
-    R, t = solve(*zip(*A, strict=True), *zip(*B, strict=True), method=getattr(cv2, f"CALIB_HAND_EYE_{method}"))
+    R, t = solve(
+        *zip(*A, strict=True),
+        *zip(*B, strict=True),
+        method=getattr(cv2, f"CALIB_HAND_EYE_{method}"),
+    )
     X = np.eye(4)
     X[:3, :3], X[:3, 3] = R, np.ravel(t)
     return X
@@ -180,7 +209,9 @@ def _board_pose(X: F64, seen: Sequence[_Seen], board: Board) -> F64:
 
 
 def _spread(X: F64, Y: F64, seen: Sequence[_Seen], board: Board) -> F64:
-    """Root mean square distance [m] of the board's corners from where Y puts them, a number a pose."""
+    """Root mean square distance [m] of the board's corners from where Y puts them, a number a
+    pose.
+    """
     at = apply(Y, board.points)
     away = [apply(item.A @ X @ item.B, board.points) - at for item in seen]
     return np.asarray(np.sqrt(np.square(away).sum(2).mean(1)), np.float64)
@@ -189,14 +220,16 @@ def _spread(X: F64, Y: F64, seen: Sequence[_Seen], board: Board) -> F64:
 def _least_spread(X: F64, Y: F64, seen: Sequence[_Seen], board: Board) -> tuple[F64, F64]:
     """X and Y together, with the least (robust) distances of all corners.
 
-    In metres of the arm, not in pixels: the arm's own poses are less certain than the board's in the images, and the
-    simulated error of X is half of that with pixels.
+    In metres of the arm, not in pixels: the arm's own poses are less certain than the board's in
+    the images, and the simulated error of X is half of that with pixels.
     """
     from scipy.optimize import least_squares
 
     def error(vector: F64) -> F64:
         X_now, at = X @ from_vector(vector[:6]), apply(Y @ from_vector(vector[6:]), board.points)
-        return np.concatenate([(apply(item.A @ X_now @ item.B, board.points) - at).ravel() for item in seen])
+        return np.concatenate(
+            [(apply(item.A @ X_now @ item.B, board.points) - at).ravel() for item in seen]
+        )
 
     best = least_squares(error, np.zeros(12), loss="soft_l1", f_scale=ROBUST_M).x
     return X @ from_vector(best[:6]), Y @ from_vector(best[6:])

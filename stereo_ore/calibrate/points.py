@@ -13,7 +13,9 @@ POLISH = 20
 """Steps of the fixed-point iteration that takes the distortion out."""
 
 
-def rectify_points(calibration: StereoCalibration, left: npt.ArrayLike, right: npt.ArrayLike) -> tuple[F64, F64]:
+def rectify_points(
+    calibration: StereoCalibration, left: npt.ArrayLike, right: npt.ArrayLike
+) -> tuple[F64, F64]:
     """Recorded pixels (N, 2) of both eyes where rectification puts them."""
     left, right = (np.array(px, np.float64).reshape(-1, 2) for px in (left, right))
     if calibration.images == "rectified":
@@ -27,7 +29,9 @@ def _undistort(px: F64, eye: CameraModel, R: F64, P: F64) -> F64:
     focal, zero = np.array(eye.focal_px), np.zeros(3)
     fisheye = eye.projection == "equidistant"
     start = (
-        cv2.fisheye.undistortPoints(px[:, None], eye.K, D) if fisheye else cv2.undistortPoints(px[:, None], eye.K, D)
+        cv2.fisheye.undistortPoints(px[:, None], eye.K, D)
+        if fisheye
+        else cv2.undistortPoints(px[:, None], eye.K, D)
     )
     rays = np.asarray(start, np.float64).reshape(-1, 2)
     project = cv2.fisheye.projectPoints if fisheye else cv2.projectPoints
@@ -41,8 +45,8 @@ def _undistort(px: F64, eye: CameraModel, R: F64, P: F64) -> F64:
 def triangulate(calibration: StereoCalibration, left: npt.ArrayLike, right: npt.ArrayLike) -> F64:
     """Points (N, 3) [m] in the rectified left frame from corresponding recorded pixels (N, 2).
 
-    Depth from the disparity with the calibration's own correction; the row is the mean of both eyes. NaN where the
-    disparity stands for no depth.
+    Depth from the disparity with the calibration's own correction; the row is the mean of both
+    eyes. NaN where the disparity stands for no depth.
     """
     rig = make_rectifier(calibration).rig
     px_left, px_right = rectify_points(calibration, left, right)

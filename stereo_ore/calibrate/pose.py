@@ -10,7 +10,9 @@ from stereo_ore.types import F64, Rig
 
 
 def fit_rigid(target: F64, source: F64) -> F64:
-    """``T_target_source`` of least squared distance between corresponding points (N, 3); Umeyama 1991, no scale."""
+    """``T_target_source`` of least squared distance between corresponding points (N, 3); Umeyama
+    1991, no scale.
+    """
     middle_target, middle_source = target.mean(0), source.mean(0)
     T = np.eye(4)
     T[:3, :3] = nearest_rotation((target - middle_target).T @ (source - middle_source))
@@ -19,7 +21,9 @@ def fit_rigid(target: F64, source: F64) -> F64:
 
 
 def image_error(T_camera_source: F64, points: F64, left: F64, right: F64, rig: Rig) -> F64:
-    """Differences (N, 4) [px] between points as projected into both rectified images and as seen there (N, 2)."""
+    """Differences (N, 4) [px] between points as projected into both rectified images and as seen
+    there (N, 2).
+    """
     seen = apply(T_camera_source, points)
     in_left = rig.project(seen)
     shift = rig.fx * rig.baseline_m / seen[:, 2:] - rig.doffs_px - rig.disparity_offset_px

@@ -1,9 +1,10 @@
 """The row difference of features that both eyes see: the witness of every calibration.
 
-In rectified images corresponding features share a row. What is left of a difference tells what is wrong: a small
-rotation ω of the right eye moves its features by f·(ωz·x − ωx·(1 + y²) + ωy·x·y) rows, where (x, y) are image
-coordinates over the focal length; a vertical shift of the eye by the disparity times t_y/B; a focal length that
-is off by the share s, by f·s·y. (Longuet-Higgins & Prazdny 1980, for a static scene.)
+In rectified images corresponding features share a row. What is left of a difference tells what is
+wrong: a small rotation ω of the right eye moves its features by f·(ωz·x − ωx·(1 + y²) + ωy·x·y)
+rows, where (x, y) are image coordinates over the focal length; a vertical shift of the eye by the
+disparity times t_y/B; a focal length that is off by the share s, by f·s·y. (Longuet-Higgins &
+Prazdny 1980, for a static scene.)
 """
 
 from __future__ import annotations
@@ -85,7 +86,10 @@ def match_features(left: U8, right: U8) -> tuple[F64, F64]:
     if len(keys_left) < 2 or len(keys_right) < 2:
         return np.zeros((0, 2)), np.zeros((0, 2))
     matcher = cv2.BFMatcher(cv2.NORM_L2)
-    there, back = matcher.knnMatch(words_left, words_right, 2), matcher.match(words_right, words_left)
+    there, back = (
+        matcher.knnMatch(words_left, words_right, 2),
+        matcher.match(words_right, words_left),
+    )
     returns = {match.queryIdx: match.trainIdx for match in back}
     pairs = [
         (best.queryIdx, best.trainIdx)
@@ -98,7 +102,9 @@ def match_features(left: U8, right: U8) -> tuple[F64, F64]:
 
 
 def residual_of_matches(left: F64, right: F64, rig: Rig) -> RowResidual:
-    """Row differences of given matches (N, 2) in rectified images; wrong matches among them are found out."""
+    """Row differences of given matches (N, 2) in rectified images; wrong matches among them are
+    found out.
+    """
     sound = np.isfinite(left).all(1) & np.isfinite(right).all(1)
     left, right = left[sound], right[sound]
     rows, basis = right[:, 1] - left[:, 1], _basis(left, right, rig)
@@ -140,7 +146,9 @@ def _basis(left: F64, right: F64, rig: Rig) -> F64:
 
 
 def _consensus(rows: F64, basis: F64) -> Mask:
-    """Matches that agree with the rotation (ωx, ωz, scale) of least median residual; seeded sampling."""
+    """Matches that agree with the rotation (ωx, ωz, scale) of least median residual; seeded
+    sampling.
+    """
     rng = np.random.default_rng(0)
     affine = basis[:, [0, 2, 4]]
     picks = rng.integers(0, len(rows), (_HYPOTHESES, 3))
@@ -166,13 +174,17 @@ def _reweight(rows: F64, basis: F64, used: Mask) -> tuple[F64, Mask]:
 
 
 def _ridge(basis: F64) -> F64:
-    """A prior of 0.1 rad or share on each value, with 1 px of noise: keeps a flat or far scene solvable."""
+    """A prior of 0.1 rad or share on each value, with 1 px of noise: keeps a flat or far scene
+    solvable.
+    """
     return np.eye(basis.shape[1]) / 0.1**2
 
 
 def _fit(rows: F64, basis: F64, weights: F64) -> F64:
     weighted = basis * weights[:, None]
-    return np.asarray(np.linalg.solve(weighted.T @ basis + _ridge(basis), weighted.T @ rows), np.float64)
+    return np.asarray(
+        np.linalg.solve(weighted.T @ basis + _ridge(basis), weighted.T @ rows), np.float64
+    )
 
 
 def _solve(rows: F64, basis: F64, weights: F64, used: Mask) -> tuple[F64, F64, F64, float]:
@@ -181,12 +193,19 @@ def _solve(rows: F64, basis: F64, weights: F64, used: Mask) -> tuple[F64, F64, F
     field = basis @ values
     noise = 1.4826 * float(np.median(np.abs(rows - field)[used]))
     normal = (basis * weights[:, None]).T @ basis + _ridge(basis)
-    return field, values, np.asarray(np.linalg.inv(normal) * max(noise, 0.05) ** 2, np.float64), noise
+    return (
+        field,
+        values,
+        np.asarray(np.linalg.inv(normal) * max(noise, 0.05) ** 2, np.float64),
+        noise,
+    )
 
 
 def _cells(px: F64, rows: F64, rig: Rig) -> F64:
     """Medians of the row differences in cells of the image."""
-    index = (px[:, ::-1] / (rig.height, rig.width) * _CELLS).astype(int).clip(0, np.array(_CELLS) - 1)
+    index = (
+        (px[:, ::-1] / (rig.height, rig.width) * _CELLS).astype(int).clip(0, np.array(_CELLS) - 1)
+    )
     medians = np.full(_CELLS, np.nan)
     for cell in np.unique(index, axis=0):
         here = rows[(index == cell).all(1)]

@@ -29,9 +29,15 @@ def describe(calibration: StereoCalibration) -> str:
         ("images", f"{rig.width}×{rig.height} px, {calibration.images}"),
         ("left", _eye(calibration.left)),
         ("right", _eye(calibration.right)),
-        ("turn of the right eye", f"{', '.join(f'{angle:.4f}' for angle in turn)} degrees about x, y, z"),
+        (
+            "turn of the right eye",
+            f"{', '.join(f'{angle:.4f}' for angle in turn)} degrees about x, y, z",
+        ),
         ("shift", f"{', '.join(f'{1000 * x:.3f}' for x in calibration.t_right_left)} mm"),
-        ("rectified", f"f {rig.fx:.3f} px, centre {rig.cx:.3f}, {rig.cy:.3f} px, doffs {rig.doffs_px:.3f} px"),
+        (
+            "rectified",
+            f"f {rig.fx:.3f} px, centre {rig.cx:.3f}, {rig.cy:.3f} px, doffs {rig.doffs_px:.3f} px",
+        ),
         ("baseline", f"{1000 * rig.baseline_m:.3f} mm"),
         ("disparity offset", f"{rig.disparity_offset_px:g} px"),
         ("field of view", "{:.1f}° × {:.1f}°".format(*np.degrees(field_of_view(rig)))),
@@ -41,7 +47,8 @@ def describe(calibration: StereoCalibration) -> str:
     for z in DISTANCES_M:
         step, noise = 1000 * rig.depth_sigma(z, 1.0), 1000 * rig.depth_sigma(z, sigma)
         rows.append(
-            f"{z:>4g} m {rig.disparity(z):>9.1f} px {step:>6.1f} mm {noise:>10.1f} mm {1000 * z / rig.fx:>7.1f} mm"
+            f"{z:>4g} m {rig.disparity(z):>9.1f} px {step:>6.1f} mm {noise:>10.1f} mm"
+            f" {1000 * z / rig.fx:>7.1f} mm"
         )
     return text + "\n\n" + "\n".join(rows)
 
@@ -64,20 +71,31 @@ def field_of_view(rig: Rig) -> tuple[float, float]:
 
 
 def draw(calibration: StereoCalibration, path: Path) -> None:
-    """Write a PNG: how far rectification moves the pixels of each eye, depth noise, and the view from above."""
+    """Write a PNG: how far rectification moves the pixels of each eye, depth noise, and the view
+    from above.
+    """
     rectifier = make_rectifier(calibration)
     figure = new_figure(11, 7.5, layout="constrained")
     axes = figure.subplots(2, 2)
-    for axis, name, maps in zip(axes[0], ("left", "right"), (rectifier.left, rectifier.right), strict=True):
+    for axis, name, maps in zip(
+        axes[0], ("left", "right"), (rectifier.left, rectifier.right), strict=True
+    ):
         _draw_movement(axis, name, maps, rectifier.rig)
     _draw_noise(axes[1, 0], rectifier.rig)
     _draw_view(axes[1, 1], rectifier.rig)
-    figure.suptitle(f"{calibration.camera or 'calibration'}: {1000 * rectifier.rig.baseline_m:.1f} mm baseline")
+    figure.suptitle(
+        f"{calibration.camera or 'calibration'}: {1000 * rectifier.rig.baseline_m:.1f} mm baseline"
+    )
     save_figure(figure, path, dpi=100)
 
 
 def _draw_movement(axis: Axes, name: str, maps: Maps | None, rig: Rig) -> None:
-    axis.set(xlim=(0, rig.width), ylim=(rig.height, 0), aspect="equal", title=f"{name}: recorded rectified")
+    axis.set(
+        xlim=(0, rig.width),
+        ylim=(rig.height, 0),
+        aspect="equal",
+        title=f"{name}: recorded rectified",
+    )
     if maps is None:
         return
     rows = np.linspace(0, rig.height - 1, 20).astype(int)
@@ -103,5 +121,9 @@ def _draw_view(axis: Axes, rig: Rig) -> None:
     for shift, colour in ((0.0, "tab:blue"), (rig.baseline_m, "tab:orange")):
         cx = rig.cx + (rig.doffs_px if shift else 0.0)
         edges = (np.array([0, rig.width]) - cx) / rig.fx * far
-        axis.fill([shift, shift + edges[0], shift + edges[1]], [0, far, far], alpha=0.3, color=colour)
-    axis.set(title="seen by left (blue) and right eye", xlabel="x [m]", ylabel="z [m]", aspect="equal")
+        axis.fill(
+            [shift, shift + edges[0], shift + edges[1]], [0, far, far], alpha=0.3, color=colour
+        )
+    axis.set(
+        title="seen by left (blue) and right eye", xlabel="x [m]", ylabel="z [m]", aspect="equal"
+    )

@@ -1,4 +1,6 @@
-"""CSV tables of touched points and of arm poses, as a spreadsheet or a robot's logger writes them."""
+"""CSV tables of touched points and of arm poses, as a spreadsheet or a robot's logger writes
+them.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,8 @@ _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+(e[+-]?\d+)?", re.IGNORECASE)
 
 
 def read_touched(path: Path) -> list[Touched]:
-    """Points from a table with the columns ``name`` and `POINT_COLUMNS`; pixels are those of the recorded images.
+    """Points from a table with the columns ``name`` and `POINT_COLUMNS`; pixels are those of the
+    recorded images.
 
     Raises
     ------
@@ -38,7 +41,8 @@ def read_touched(path: Path) -> list[Touched]:
 
 
 def read_poses(path: Path) -> dict[str, F64]:
-    """``T_arm_tool`` by the name of the frame, from ``name``, `PLACE_COLUMNS` and a rotation vector or quaternion.
+    """``T_arm_tool`` by the name of the frame, from ``name``, `PLACE_COLUMNS` and a rotation vector
+    or quaternion.
 
     Raises
     ------
@@ -56,19 +60,24 @@ def read_pose_table(path: Path) -> PoseTable:
     Raises
     ------
     CalibrationError
-        Naming line and column of what is missing or no number; when a quaternion is not of length 1.
+        Naming line and column of what is missing or no number; when a quaternion is not of length
+        1.
     """
     quaternion = "qw" in _header(path)
     rows = list(_rows(path, PLACE_COLUMNS + (QUATERNION_COLUMNS if quaternion else VECTOR_COLUMNS)))
     values = np.array([row for _, row in rows], np.float64).reshape(-1, 7 if quaternion else 6)
     for name, q in zip((name for name, _ in rows), values[:, 3:], strict=True):
         if quaternion and not abs(float(np.linalg.norm(q)) - 1) < 1e-2:
-            raise CalibrationError(f"{name}: the quaternion has length {np.linalg.norm(q):.3f}, not 1", file=path)
+            raise CalibrationError(
+                f"{name}: the quaternion has length {np.linalg.norm(q):.3f}, not 1", file=path
+            )
     return PoseTable(tuple(name for name, _ in rows), values[:, :3], values[:, 3:])
 
 
 def _text(path: Path) -> str:
-    """The text of a table as spreadsheets save it: UTF-8, UTF-16 with its mark, or one byte a letter."""
+    """The text of a table as spreadsheets save it: UTF-8, UTF-16 with its mark, or one byte a
+    letter.
+    """
     try:
         head = path.read_bytes()[: MAX_BYTES + 1]
     except (OSError, ValueError):
@@ -93,8 +102,8 @@ def _is_utf8(data: bytes) -> bool:
 def _lines(path: Path) -> list[tuple[int, list[str]]]:
     """The rows of a table that are not blank, stripped, with the number of their line.
 
-    Cells are separated by what stands most often in the first line: commas, semicolons or tabs; Excel's line
-    ``sep=;`` says it too.
+    Cells are separated by what stands most often in the first line: commas, semicolons or tabs;
+    Excel's line ``sep=;`` says it too.
     """
     text = _text(path).replace("\r\n", "\n").replace("\r", "\n")
     said = re.match(r"\s*sep=(.)\n", text)
@@ -106,7 +115,9 @@ def _lines(path: Path) -> list[tuple[int, list[str]]]:
     try:
         lines = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
     except csv.Error as fault:
-        raise CalibrationError(f"is no CSV table: {fault}", file=path, key=f"line {reader.line_num}") from None
+        raise CalibrationError(
+            f"is no CSV table: {fault}", file=path, key=f"line {reader.line_num}"
+        ) from None
     return [(number, row) for number, row in lines if any(row)]
 
 
@@ -119,7 +130,9 @@ def _rows(path: Path, columns: Sequence[str]) -> Iterator[tuple[str, list[float]
     header, seen = _header(path), set[str]()
     for column in ("name", *columns):
         if column not in header:
-            raise CalibrationError(f"column is missing{nearest(column, header)}", file=path, key=column)
+            raise CalibrationError(
+                f"column is missing{nearest(column, header)}", file=path, key=column
+            )
     for number, row in _lines(path)[1:]:
         cells = dict.fromkeys(header, "") | dict(zip(header, row, strict=False))
         name = cells["name"]

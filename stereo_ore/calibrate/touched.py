@@ -1,4 +1,6 @@
-"""Hand-eye calibration from touched points: the tool's tip in arm coordinates and the same point in both images."""
+"""Hand-eye calibration from touched points: the tool's tip in arm coordinates and the same point in
+both images.
+"""
 
 from __future__ import annotations
 
@@ -27,11 +29,13 @@ OUTLIER_FACTOR = 4.0
 _MOST_TRIPLES = 400
 
 SAME_SCALE = 0.25
-"""Share by which distances of touched points may differ from those seen, before the unit is in doubt."""
+"""Share by which distances of touched points may differ from those seen, before the unit is in
+doubt."""
 
 MIRRORED_SHARE, MIRRORED_FLOOR_MM = 0.3, 10.0
 TOUCH_PX, LIMIT_SIGMAS = 0.5, 3.0
-"""Touched points are clicked to half a pixel; a good fit leaves three times the depth noise of that at most."""
+"""Touched points are clicked to half a pixel; a good fit leaves three times the depth noise of that
+at most."""
 
 _UNIT_WORDS = {
     "m": "metres",
@@ -45,7 +49,9 @@ _UNIT_WORDS = {
 
 @dataclass(frozen=True)
 class Touched:
-    """A point touched by the tool: name, arm coordinates (3,) [m], recorded pixels of both eyes (2,)."""
+    """A point touched by the tool: name, arm coordinates (3,) [m], recorded pixels of both eyes
+    (2,).
+    """
 
     name: str
     arm_m: tuple[float, float, float]
@@ -55,7 +61,8 @@ class Touched:
 
 @dataclass(frozen=True)
 class HandEyeResult:
-    """``T_arm_camera`` and its witnesses: a name, a residual [mm] and whether it was used for each point or pose.
+    """``T_arm_camera`` and its witnesses: a name, a residual [mm] and whether it was used for each
+    point or pose.
 
     `own_mm` is the residual [mm] that the images alone allow.
     """
@@ -69,7 +76,9 @@ class HandEyeResult:
 
     @property
     def limit_mm(self) -> float:
-        """The root mean square residual beyond which the fit explains nothing, from what the images allow."""
+        """The root mean square residual beyond which the fit explains nothing, from what the images
+        allow.
+        """
         return limit_from(self.own_mm)
 
     @property
@@ -94,15 +103,18 @@ class HandEyeResult:
 
 
 def limit_from(own_mm: float) -> float:
-    """The greatest residual [mm] of a fit that explains its data, from what the images allow [mm]."""
+    """The greatest residual [mm] of a fit that explains its data, from what the images allow
+    [mm].
+    """
     return float(np.clip(own_mm, LEAST_LIMIT_MM, GREATEST_LIMIT_MM))
 
 
 def fit_touched(points: Sequence[Touched], calibration: StereoCalibration) -> HandEyeResult:
     """The camera's pose in the arm frame from at least three touched points.
 
-    Closed form on the triple of points that most others agree with, then the least error in both images over all that
-    agree: a pixel weighs the same everywhere, while a triangulated depth is ten times less certain than its sides.
+    Closed form on the triple of points that most others agree with, then the least error in both
+    images over all that agree: a pixel weighs the same everywhere, while a triangulated depth is
+    ten times less certain than its sides.
 
     Raises
     ------
@@ -113,8 +125,12 @@ def fit_touched(points: Sequence[Touched], calibration: StereoCalibration) -> Ha
     _check_spread(arm, "arm coordinates of the points")
     pixels = np.array([(*point.left_px, *point.right_px) for point in points], np.float64)
     seen = triangulate(calibration, pixels[:, :2], pixels[:, 2:])
-    if behind := [point.name for point, xyz in zip(points, seen, strict=True) if not np.isfinite(xyz).all()]:
-        problem = f"{', '.join(behind)}: the pixels meet behind the camera; are left and right exchanged?"
+    if behind := [
+        point.name for point, xyz in zip(points, seen, strict=True) if not np.isfinite(xyz).all()
+    ]:
+        problem = (
+            f"{', '.join(behind)}: the pixels meet behind the camera; are left and right exchanged?"
+        )
         raise CalibrationError(problem, key="points")
     _check_unit(arm, seen)
     left, right = rectify_points(calibration, pixels[:, :2], pixels[:, 2:])
@@ -133,7 +149,9 @@ def fit_touched(points: Sequence[Touched], calibration: StereoCalibration) -> Ha
     _check_hand(arm, seen, residual)
     names = tuple(point.name for point in points)
     own = LIMIT_SIGMAS * 1000 * float(np.median(rig.depth_sigma(seen[:, 2], TOUCH_PX)))
-    return HandEyeResult(inverse(T), "touched points, least error in both images", names, residual, used, own)
+    return HandEyeResult(
+        inverse(T), "touched points, least error in both images", names, residual, used, own
+    )
 
 
 def _check_unit(arm: F64, seen: F64) -> None:
@@ -153,14 +171,19 @@ def _check_unit(arm: F64, seen: F64) -> None:
     remedy = "Write them in metres"
     if abs(np.log(scale * UNITS_M[unit])) < np.log1p(SAME_SCALE):
         raise CalibrationError(
-            f"distances are {scale:.4g} times those seen: the arm coordinates look like {_UNIT_WORDS[unit]}",
+            f"distances are {scale:.4g} times those seen: the arm coordinates look like"
+            f" {_UNIT_WORDS[unit]}",
             key="points",
             remedy=remedy,
         )
     raise CalibrationError(
-        f"distances between the points are {scale:.4g} times those seen: neither metres nor another unit",
+        f"distances between the points are {scale:.4g} times those seen: neither metres nor another"
+        " unit",
         key="points",
-        remedy="Are names and pixels of the points in the right rows, and is the calibration that of this camera?",
+        remedy=(
+            "Are names and pixels of the points in the right rows, and is the calibration that of"
+            " this camera?"
+        ),
     )
 
 
@@ -178,33 +201,46 @@ def _check_hand(arm: F64, seen: F64, residual_mm: F64) -> None:
     mirrored = arm * [1.0, -1.0, 1.0]
     T = fit_rigid(mirrored, seen)
     left = 1000 * np.linalg.norm(apply(T, seen) - mirrored, axis=1)
-    rms, mirrored_rms = (float(np.sqrt(np.mean(np.square(values)))) for values in (residual_mm, left))
+    rms, mirrored_rms = (
+        float(np.sqrt(np.mean(np.square(values)))) for values in (residual_mm, left)
+    )
     if mirrored_rms < MIRRORED_SHARE * rms and rms > MIRRORED_FLOOR_MM:
         raise CalibrationError(
             f"no rotation fits (RMS {rms:.0f} mm), a reflection does ({mirrored_rms:.1f} mm): "
             "the arm's axes are mirrored (left-handed)",
             key="points",
-            remedy="Turn the sign of one axis, for example of arm_y_m, here and where the arm takes its targets",
+            remedy=(
+                "Turn the sign of one axis, for example of arm_y_m, here and where the arm takes"
+                " its targets"
+            ),
         )
 
 
 def _check_spread(points: F64, what: str) -> None:
     if len(points) < FEWEST_POINTS:
         remedy = "Touch at least three points, better six, spread over the screen and in height"
-        raise CalibrationError(f"{len(points)} {what}, {FEWEST_POINTS} are needed", key="points", remedy=remedy)
+        raise CalibrationError(
+            f"{len(points)} {what}, {FEWEST_POINTS} are needed", key="points", remedy=remedy
+        )
     if not np.isfinite(points).all():
         raise CalibrationError(f"{what}: have numbers that are not finite", key="points")
     spread = np.linalg.svd(points - points.mean(0), compute_uv=False)[1] / np.sqrt(len(points))
     if spread < LEAST_SPREAD_M:
         problem = f"the {what} lie on one line, within {1000 * spread:.1f} mm"
-        raise CalibrationError(problem, key="points", remedy="Touch points that span a triangle, as wide as the screen")
+        raise CalibrationError(
+            problem, key="points", remedy="Touch points that span a triangle, as wide as the screen"
+        )
 
 
 def _hypotheses(arm: F64, seen: F64) -> list[F64]:
     """``T_camera_arm`` of triples that span a triangle, or of all points when none does so."""
     triples = np.array(list(itertools.combinations(range(len(arm)), 3)))
     if len(triples) > _MOST_TRIPLES:
-        triples = triples[np.random.default_rng(0).choice(len(triples), _MOST_TRIPLES, replace=False)]
+        triples = triples[
+            np.random.default_rng(0).choice(len(triples), _MOST_TRIPLES, replace=False)
+        ]
     sides = arm[triples[:, 1:]] - arm[triples[:, :1]]
     wide = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) > LEAST_SPREAD_M**2
-    return [fit_rigid(seen[triple], arm[triple]) for triple in triples[wide]] + [fit_rigid(seen, arm)]
+    return [fit_rigid(seen[triple], arm[triple]) for triple in triples[wide]] + [
+        fit_rigid(seen, arm)
+    ]

@@ -53,17 +53,21 @@ def _show_version(value: bool) -> None:
 @app.callback()
 def main(
     verbose: Annotated[int, typer.Option("-v", "--verbose", count=True, help="More messages.")] = 0,
-    quiet: Annotated[bool, typer.Option("-q", "--quiet", help="Only warnings, no progress.")] = False,
+    quiet: Annotated[
+        bool, typer.Option("-q", "--quiet", help="Only warnings, no progress.")
+    ] = False,
     log_format: Annotated[
         LogFormat, typer.Option("--log-format", help="Messages as text, or as a line of JSON each.")
     ] = LogFormat.TEXT,
     debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
-    version: Annotated[bool, typer.Option("--version", callback=_show_version, is_eager=True)] = False,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True)
+    ] = False,
 ) -> None:
     """Find breaking-size ore on a grizzly screen in recorded stereo pairs.
 
-    Example: `stereo-ore run data/paper_03 --calib data/paper_03/calibration.yaml --site data/paper_03/site.yaml
-    --out out`
+    Example: `stereo-ore run data/paper_03 --calib data/paper_03/calibration.yaml --site
+    data/paper_03/site.yaml --out out`
     """
     level = logging.WARNING if quiet else (logging.INFO, logging.DEBUG)[min(verbose, 1)]
     handler = logging.StreamHandler(sys.stderr)
@@ -85,19 +89,28 @@ def launch(arguments: list[str] | None = None) -> None:
     """Run the command line; known errors end as one line and exit code 1."""
     load_verbs()
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, TextIOWrapper):  # names of files may hold what the terminal's encoding has not
+        if isinstance(
+            stream, TextIOWrapper
+        ):  # names of files may hold what the terminal's encoding has not
             stream.reconfigure(errors="backslashreplace")
     try:
         app(arguments)
     except StereoOreError as error:
         _end(error)
     except BrokenPipeError:
-        # The reader of our output went away (`| head`): no message helps, and Python must not try to flush.
+        # The reader of our output went away (`| head`): no message helps, and Python must not try
+        # to flush.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(EXIT_KNOWN_ERROR)
     except OSError as fault:
         # What no reader or writer has foreseen: a name too long, a folder that may not be entered.
-        _end(OutputError(fault.strerror or str(fault), file=fault.filename, remedy="Check path, space and permissions"))
+        _end(
+            OutputError(
+                fault.strerror or str(fault),
+                file=fault.filename,
+                remedy="Check path, space and permissions",
+            )
+        )
     except MemoryError:
         _end(OutputError("not enough memory", remedy="Use smaller images or fewer --workers"))
 

@@ -1,4 +1,6 @@
-"""What a run says when it ends: the cause of bad frames first, sums of usable frames, and how it went."""
+"""What a run says when it ends: the cause of bad frames first, sums of usable frames, and how it
+went.
+"""
 
 from __future__ import annotations
 
@@ -51,12 +53,20 @@ class Closing:
     def complain(self) -> None:
         """Say of the first bad frames what is wrong with them."""
         for record in self.bad:
-            log.warning("frame %s is %s: %s", record["frame"], record["status"], cause(record["reasons"])["detail"])
+            log.warning(
+                "frame %s is %s: %s",
+                record["frame"],
+                record["status"],
+                cause(record["reasons"])["detail"],
+            )
 
     def check_usable(self) -> None:
         """End with the exit code of a failed quality gate where no frame is usable."""
         from stereo_ore.cli import EXIT_QUALITY
 
         if self.bad and not any(self.totals[status] for status in USABLE):
-            typer.echo(f"error: no frame is usable; the first: {cause(self.bad[0]['reasons'])['detail']}", err=True)
+            typer.echo(
+                f"error: no frame is usable; the first: {cause(self.bad[0]['reasons'])['detail']}",
+                err=True,
+            )
             raise typer.Exit(EXIT_QUALITY)

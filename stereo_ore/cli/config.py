@@ -1,4 +1,6 @@
-"""``stereo-ore config``: every parameter with default, unit and range; check a file; what other programs import."""
+"""``stereo-ore config``: every parameter with default, unit and range; check a file; what other
+programs import.
+"""
 
 from __future__ import annotations
 
@@ -11,15 +13,21 @@ import typer
 
 def register(app: typer.Typer) -> None:
     """Add the verb to the command line."""
-    group = typer.Typer(help="Parameters: dump, validate, schema. Interfaces: opcua, modbus.", no_args_is_help=True)
+    group = typer.Typer(
+        help="Parameters: dump, validate, schema. Interfaces: opcua, modbus.", no_args_is_help=True
+    )
     for verb in (dump, validate, schema, opcua, modbus):
         group.command()(verb)
     app.add_typer(group, name="config")
 
 
 def dump(
-    config: Annotated[Path | None, typer.Argument(help="File whose values replace the defaults.")] = None,
-    settings: Annotated[list[str] | None, typer.Option("--set", help="One parameter: key.sub=value.")] = None,
+    config: Annotated[
+        Path | None, typer.Argument(help="File whose values replace the defaults.")
+    ] = None,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", help="One parameter: key.sub=value.")
+    ] = None,
 ) -> None:
     """Print all parameters as commented YAML, ready to edit.
 
@@ -45,10 +53,13 @@ def validate(config: Annotated[Path, typer.Argument(help="File to check.")]) -> 
 def schema(
     part: Annotated[
         Literal["parameters", "sinks", "targets", "frame"],
-        typer.Argument(help="Parameters, the sinks file, a message to the arm, or a frame's record."),
+        typer.Argument(
+            help="Parameters, the sinks file, a message to the arm, or a frame's record."
+        ),
     ] = "parameters",
 ) -> None:
-    """Print a JSON Schema, for editors that complete and check YAML, and for those who read messages.
+    """Print a JSON Schema, for editors that complete and check YAML, and for those who read
+    messages.
 
     Example: `stereo-ore config schema sinks > sinks.schema.json`
     """

@@ -22,21 +22,30 @@ def register(app: typer.Typer) -> None:
 
 
 def evaluate(
-    results: Annotated[Path, typer.Argument(help="A run folder, or a folder with a run folder a scene.")],
+    results: Annotated[
+        Path, typer.Argument(help="A run folder, or a folder with a run folder a scene.")
+    ],
     truth: Annotated[Path, typer.Argument(help="A scene folder with truth, or a folder of them.")],
-    out: Annotated[Path | None, typer.Option(help="Folder for evaluation.json and evaluation.png.")] = None,
-    baselines: Annotated[bool, typer.Option(help="Also judge the tuned statistical and radius filter (slow).")] = False,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for evaluation.json and evaluation.png.")
+    ] = None,
+    baselines: Annotated[
+        bool, typer.Option(help="Also judge the tuned statistical and radius filter (slow).")
+    ] = False,
     at_least: Annotated[
         list[str] | None, typer.Option(help="Quality gate: figure=value; exit code 3 below it.")
     ] = None,
-    at_most: Annotated[list[str] | None, typer.Option(help="Quality gate: figure=value; exit code 3 above it.")] = None,
+    at_most: Annotated[
+        list[str] | None, typer.Option(help="Quality gate: figure=value; exit code 3 above it.")
+    ] = None,
 ) -> None:
     """Judge results of `run --save-stages` by scenes whose truth is known, such as `synth` makes.
 
-    Lengths are in millimetres. Figures: share of ore pixels matched, filter quality (equation 7), ores found, errors of
-    centre of gravity, volume, size and strike.
+    Lengths are in millimetres. Figures: share of ore pixels matched, filter quality (equation 7),
+    ores found, errors of centre of gravity, volume, size and strike.
 
-    Example: `stereo-ore evaluate out scenes --out judged --at-least recall50=0.9 --at-most cog_xy_mm=15`
+    Example: `stereo-ore evaluate out scenes --out judged --at-least recall50=0.9 --at-most
+    cog_xy_mm=15`
     """
     from rich.console import Console
     from rich.progress import track
@@ -79,7 +88,9 @@ def _check(gates: list[tuple[str, float, int]], total: dict[str, float]) -> None
         if not sign * (total[name] - limit) >= 0:
             failed = True
             typer.echo(
-                f"gate failed: {name} is {total[name]:.4g}, wanted {'≥' if sign > 0 else '≤'} {limit:g}", err=True
+                f"gate failed: {name} is {total[name]:.4g}, wanted {'≥' if sign > 0 else '≤'}"
+                f" {limit:g}",
+                err=True,
             )
     if failed:
         raise typer.Exit(EXIT_QUALITY)
@@ -90,7 +101,10 @@ def _write(out: Path, rows: list[dict[str, Any]], total: dict[str, float]) -> No
     from stereo_ore.io.atomic import write_text
     from stereo_ore.lab.evaluate.plots import draw
 
-    write_text(out / "evaluation.json", json.dumps(_without_nan({"total": total, "rows": rows}), indent=1) + "\n")
+    write_text(
+        out / "evaluation.json",
+        json.dumps(_without_nan({"total": total, "rows": rows}), indent=1) + "\n",
+    )
     if_possible(lambda: draw(rows, out / "evaluation.png"))
 
 

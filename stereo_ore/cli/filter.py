@@ -42,22 +42,42 @@ def register(app: typer.Typer) -> None:
 
 def filter_(
     source: Annotated[
-        Path, typer.Argument(metavar="IN", help="Cloud: .ply .pcd .xyz .txt .asc .pts .csv .npy .npz .las .laz")
+        Path,
+        typer.Argument(
+            metavar="IN", help="Cloud: .ply .pcd .xyz .txt .asc .pts .csv .npy .npz .las .laz"
+        ),
     ],
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="Kept points, any of these formats, all columns kept.")],
+    out: Annotated[
+        Path,
+        typer.Argument(metavar="OUT", help="Kept points, any of these formats, all columns kept."),
+    ],
     method: Annotated[
-        str, typer.Option(help="adaptive, closed-form, paper, paper-tuned, statistical, radius, lof or none.")
+        str,
+        typer.Option(
+            help="adaptive, closed-form, paper, paper-tuned, statistical, radius, lof or none."
+        ),
     ] = "adaptive",
-    settings: Annotated[list[str] | None, typer.Option("--set", help="Parameter of the method: key=value.")] = None,
-    unit: Annotated[str | None, typer.Option(help="Unit of the cloud's coordinates: m, cm or mm.")] = None,
-    scores: Annotated[Path | None, typer.Option(help="Write keep and score of each point, best .npz or .csv.")] = None,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", help="Parameter of the method: key=value.")
+    ] = None,
+    unit: Annotated[
+        str | None, typer.Option(help="Unit of the cloud's coordinates: m, cm or mm.")
+    ] = None,
+    scores: Annotated[
+        Path | None, typer.Option(help="Write keep and score of each point, best .npz or .csv.")
+    ] = None,
     keep_noise: Annotated[Path | None, typer.Option(help="Write the removed points too.")] = None,
-    picture: Annotated[Path | None, typer.Option(help="Draw the outlier factors; *-kept beside it shows both.")] = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="Draw the outlier factors; *-kept beside it shows both.")
+    ] = None,
     like: Annotated[
         str | None,
         typer.Option(
-            help="Take statistical or radius and their parameters as open3d, pcl, cloudcompare or cars (cars-filter) "
-            "mean them, and keep exactly the points that it keeps."
+            help=(
+                "Take statistical or radius and their parameters as open3d, pcl, cloudcompare or"
+                " cars (cars-filter) "
+                "mean them, and keep exactly the points that it keeps."
+            )
         ),
     ] = None,
 ) -> None:
@@ -65,13 +85,14 @@ def filter_(
 
     Coordinates stay as they are in the file; its unit matters for parameters that are lengths.
 
-    adaptive: surfaces with outliers at, or not far from, them, at any density and roughness, and clouds that are clean.
-    closed-form: the same without anything learned; weaker on outliers close to a surface. paper, paper-tuned: the
-    published filter, for comparison. statistical, radius: sparse outliers far from a surface of even density (k and n
-    don't count the point itself). lof: the same where density varies. Sheets of points
-    beside a surface are noise to none of them.
+    adaptive: surfaces with outliers at, or not far from, them, at any density and roughness, and
+    clouds that are clean. closed-form: the same without anything learned; weaker on outliers close
+    to a surface. paper, paper-tuned: the published filter, for comparison. statistical, radius:
+    sparse outliers far from a surface of even density (k and n don't count the point itself). lof:
+    the same where density varies. Sheets of points beside a surface are noise to none of them.
 
-    Example: `stereo-ore filter scan.ply clean.ply --method adaptive --keep-noise noise.ply --picture factors.png`
+    Example: `stereo-ore filter scan.ply clean.ply --method adaptive --keep-noise noise.ply
+    --picture factors.png`
     """
     from stereo_ore.io import clouds
     from stereo_ore.io.parameters import load_config
@@ -107,7 +128,11 @@ def _check_output(path: Path, source: Path) -> None:
 
     clouds.format_of(path)
     if path.exists() and source.exists() and path.samefile(source):
-        raise CloudError("is the input", file=path, remedy="Name another file; the recorded cloud is not replaced")
+        raise CloudError(
+            "is the input",
+            file=path,
+            remedy="Name another file; the recorded cloud is not replaced",
+        )
 
 
 def _metres(source: Path, xyz: Any, unit: str | None) -> float:
@@ -116,13 +141,23 @@ def _metres(source: Path, xyz: Any, unit: str | None) -> float:
 
     if unit is not None:
         if unit not in METRES:
-            raise CloudError(f"{unit!r} is no unit of length known here", key="--unit", remedy="Use m, cm or mm")
+            raise CloudError(
+                f"{unit!r} is no unit of length known here", key="--unit", remedy="Use m, cm or mm"
+            )
         return METRES[unit]
     finite = xyz[np.isfinite(xyz).all(1)]
-    width = float(np.ptp(np.quantile(finite, (0.01, 0.99), axis=0), axis=0).max()) if len(finite) else 0.0
+    width = (
+        float(np.ptp(np.quantile(finite, (0.01, 0.99), axis=0), axis=0).max())
+        if len(finite)
+        else 0.0
+    )
     if width > LARGEST_M:
         remedy = "Say --unit mm (or --unit m if it is that large)"
-        raise CloudError(f"the cloud is {width:,.0f} units wide: are they millimetres?", file=source, remedy=remedy)
+        raise CloudError(
+            f"the cloud is {width:,.0f} units wide: are they millimetres?",
+            file=source,
+            remedy=remedy,
+        )
     return METRES["m"]
 
 
@@ -138,11 +173,20 @@ def _report(result: FilterResult) -> None:
     d = result.diagnostics
     removed = d["points"] - d["kept"]
     share = 100 * removed / max(d["points"], 1)
-    log.info("%s: %s of %s points removed (%.1f %%)", d["method"], f"{removed:,}", f"{d['points']:,}", share)
+    log.info(
+        "%s: %s of %s points removed (%.1f %%)",
+        d["method"],
+        f"{removed:,}",
+        f"{d['points']:,}",
+        share,
+    )
     if share > 100 * MUCH and d["points"]:
         milder = f"a milder --set {MILDER[d['method']]}, or " if d["method"] in MILDER else ""
         log.warning("%.0f %% of the cloud is gone; are there good points among them (--picture)? "
                     "Then use %sanother --method", share, milder)  # fmt: skip
-    for key, words in (("not_finite", "rows without finite coordinates"), ("duplicates", "points at the same place")):
+    for key, words in (
+        ("not_finite", "rows without finite coordinates"),
+        ("duplicates", "points at the same place"),
+    ):
         if d[key]:
             log.info("%s %s", f"{d[key]:,}", words)

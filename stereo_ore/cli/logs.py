@@ -19,12 +19,23 @@ class LogFormat(StrEnum):
 
 
 class JsonLines(logging.Formatter):
-    """A line of JSON a message: time (UTC), level, logger, message, its own fields, and a traceback if any."""
+    """A line of JSON a message: time (UTC), level, logger, message, its own fields, and a traceback
+    if any.
+    """
 
     def format(self, record: logging.LogRecord) -> str:
         """One line, whatever the message holds."""
-        time = datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-        line = {"time": time, "level": record.levelname.lower(), "logger": record.name, "message": record.getMessage()}
+        time = (
+            datetime.fromtimestamp(record.created, UTC)
+            .isoformat(timespec="milliseconds")
+            .replace("+00:00", "Z")
+        )
+        line = {
+            "time": time,
+            "level": record.levelname.lower(),
+            "logger": record.name,
+            "message": record.getMessage(),
+        }
         line |= {key: value for key, value in record.__dict__.items() if key not in PLAIN}
         if record.exc_info:
             line["traceback"] = self.formatException(record.exc_info)

@@ -49,6 +49,8 @@ def calibration_of(
     if calib:
         return load(calib, image_size=image_size, recorded_size=frame_size(recording))
     if recording.calibration is None:
-        raise SourceError("carries no calibration", file=recording.path, remedy="Give one with --calib")
+        raise SourceError(
+            "carries no calibration", file=recording.path, remedy="Give one with --calib"
+        )
     log.info("calibration: camera_info of the recording")
     return recording.calibration

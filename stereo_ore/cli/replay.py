@@ -18,9 +18,13 @@ def register(app: typer.Typer) -> None:
 
 def replay(
     folder: Annotated[Path, typer.Argument(help="Folder of a run.")],
-    rate: Annotated[float | None, typer.Option(min=0.01, help="Frames a second; default: as recorded.")] = None,
+    rate: Annotated[
+        float | None, typer.Option(min=0.01, help="Frames a second; default: as recorded.")
+    ] = None,
     speed: Annotated[float, typer.Option(min=0.01, help="Times the recorded speed.")] = 1.0,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the messages at once, send nothing.")] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Print the messages at once, send nothing.")
+    ] = False,
     sinks: SinksFile = None,
     opcua: OpcUaPort = None,
     mqtt: MqttPort = None,
@@ -28,7 +32,8 @@ def replay(
     modbus: ModbusPort = None,
     valid_for: ValidFor = 5.0,
 ) -> None:
-    """Publish the targets of a recorded run again, as `serve` does; every message says that it is a replay.
+    """Publish the targets of a recorded run again, as `serve` does; every message says that it is a
+    replay.
 
     Example: `stereo-ore replay out --rate 2 --opcua 4840`
     """
@@ -45,7 +50,9 @@ def replay(
         return
     consumers = open_sinks(settings, origin)
     if not consumers:
-        raise typer.BadParameter("name a consumer: --opcua, --mqtt, --modbus, --tcp or --sinks; or --dry-run")
+        raise typer.BadParameter(
+            "name a consumer: --opcua, --mqtt, --modbus, --tcp or --sinks; or --dry-run"
+        )
     with Publisher(consumers, valid_for, origin) as publisher:
         start = time.monotonic()
         for due_s, record in schedule(folder, rate, speed):

@@ -13,8 +13,11 @@ def register(app: typer.Typer) -> None:
     app.command()(report)
 
 
-def report(folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder that `run` has written.")]) -> None:
-    """Write report.html into the folder of a run, finished or not: pictures, 3-D view, counts, reasons, timings.
+def report(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder that `run` has written.")],
+) -> None:
+    """Write report.html into the folder of a run, finished or not: pictures, 3-D view, counts,
+    reasons, timings.
 
     Example: `stereo-ore report out`
     """

@@ -29,44 +29,83 @@ def register(app: typer.Typer) -> None:
 
 
 def run(
-    source: Annotated[Path | None, typer.Argument(help="Recording: folder or file in any known layout.")] = None,
+    source: Annotated[
+        Path | None, typer.Argument(help="Recording: folder or file in any known layout.")
+    ] = None,
     calib: Annotated[
-        Path | None, typer.Option("--calib", help="Calibration of the camera; a bag may carry its own.")
+        Path | None,
+        typer.Option("--calib", help="Calibration of the camera; a bag may carry its own."),
     ] = None,
     out: Annotated[Path, typer.Option("--out", help="Folder for the results.")] = ...,  # type: ignore[assignment]
     site: Annotated[Path | None, typer.Option(help="Site: arm, working volume, grizzly.")] = None,
-    config: Annotated[Path | None, typer.Option(help="Parameters that differ from the defaults.")] = None,
-    settings: Annotated[list[str] | None, typer.Option("--set", help="One parameter: key.sub=value.")] = None,
-    left: Annotated[Path | None, typer.Option(help="Left image, video or folder, instead of SOURCE.")] = None,
-    right: Annotated[Path | None, typer.Option(help="Right image, video or folder, instead of SOURCE.")] = None,
+    config: Annotated[
+        Path | None, typer.Option(help="Parameters that differ from the defaults.")
+    ] = None,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", help="One parameter: key.sub=value.")
+    ] = None,
+    left: Annotated[
+        Path | None, typer.Option(help="Left image, video or folder, instead of SOURCE.")
+    ] = None,
+    right: Annotated[
+        Path | None, typer.Option(help="Right image, video or folder, instead of SOURCE.")
+    ] = None,
     left_topic: Annotated[str | None, typer.Option(help="Left image topic of a bag.")] = None,
     right_topic: Annotated[str | None, typer.Option(help="Right image topic of a bag.")] = None,
-    max_skew_ms: Annotated[float, typer.Option(min=0, help="Largest difference of the stamps of a pair.")] = 5.0,
+    max_skew_ms: Annotated[
+        float, typer.Option(min=0, help="Largest difference of the stamps of a pair.")
+    ] = 5.0,
     start_time: Annotated[
-        str | None, typer.Option("--start-time", metavar="TIME", help="When the first frame was taken: ISO 8601.")
+        str | None,
+        typer.Option(
+            "--start-time", metavar="TIME", help="When the first frame was taken: ISO 8601."
+        ),
     ] = None,
     fps: Annotated[
-        float | None, typer.Option(min=0.001, help="Frames a second, instead of the recorded times.")
+        float | None,
+        typer.Option(min=0.001, help="Frames a second, instead of the recorded times."),
     ] = None,
     report: Annotated[
         bool, typer.Option("--report/--no-report", help="Check the calibration, write report.html.")
     ] = True,
-    save_stages: Annotated[bool, typer.Option("--save-stages", help="Also write stages/FRAME.npz.")] = False,
-    pictures: Annotated[bool, typer.Option("--pictures", help="Also write pictures/FRAME.png: ores in space.")] = False,
-    clouds: Annotated[bool, typer.Option("--clouds/--no-clouds", help="Write clouds/FRAME.ply.")] = True,
-    overlays: Annotated[bool, typer.Option("--overlays/--no-overlays", help="Write overlays/FRAME.png.")] = True,
+    save_stages: Annotated[
+        bool, typer.Option("--save-stages", help="Also write stages/FRAME.npz.")
+    ] = False,
+    pictures: Annotated[
+        bool, typer.Option("--pictures", help="Also write pictures/FRAME.png: ores in space.")
+    ] = False,
+    clouds: Annotated[
+        bool, typer.Option("--clouds/--no-clouds", help="Write clouds/FRAME.ply.")
+    ] = True,
+    overlays: Annotated[
+        bool, typer.Option("--overlays/--no-overlays", help="Write overlays/FRAME.png.")
+    ] = True,
     start: Annotated[int, typer.Option(min=0, help="First frame, counted from 0.")] = 0,
     stop: Annotated[int | None, typer.Option(min=0, help="Frame to stop before.")] = None,
     every: Annotated[
-        int | None, typer.Option(min=1, help="Take each n-th frame; 1, or as many as are fused.", show_default=False)
+        int | None,
+        typer.Option(
+            min=1, help="Take each n-th frame; 1, or as many as are fused.", show_default=False
+        ),
     ] = None,
-    fuse: Annotated[int | None, typer.Option(min=1, help="Measure so many frames of a still scene as one.")] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Continue a run that was stopped.")] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a different run in --out.")] = False,
-    strict: Annotated[bool, typer.Option("--strict", help="Stop at the first frame that fails.")] = False,
+    fuse: Annotated[
+        int | None, typer.Option(min=1, help="Measure so many frames of a still scene as one.")
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Continue a run that was stopped.")
+    ] = False,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace a different run in --out.")
+    ] = False,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Stop at the first frame that fails.")
+    ] = False,
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
     scheduler: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler whose workers do the frames: tcp://host:8786.")
+        str | None,
+        typer.Option(
+            metavar="ADDRESS", help="Dask scheduler whose workers do the frames: tcp://host:8786."
+        ),
     ] = None,
 ) -> None:
     """Recorded pairs → ore point sets, centres of gravity, targets.
@@ -92,7 +131,9 @@ def run(
         start, stop, every, clouds, overlays, pictures, save_stages, report, resume, overwrite,
         strict, workers, scheduler,
     )  # fmt: skip
-    parameters = load_config(config, [*(settings or ()), *([f"matching.fuse={fuse}"] if fuse else [])])
+    parameters = load_config(
+        config, [*(settings or ()), *([f"matching.fuse={fuse}"] if fuse else [])]
+    )
     recording = open_recording(source, left, right, (left_topic, right_topic), max_skew_ms)
     recording = limit_pixels(recording, parameters.source.max_pixels)
     calibration = calibration_of(recording, calib)
@@ -111,9 +152,14 @@ def run(
 def _announce(site: Site, frames: int) -> None:
     log.info("%s", _frames(frames))
     if site.T_arm_camera is None:
-        log.warning("no arm_from_camera in a site file: positions are in the camera frame only, not for an arm")
+        log.warning(
+            "no arm_from_camera in a site file: positions are in the camera frame only, not for"
+            " an arm"
+        )
     if site.opening_m is None:
-        log.warning("no grizzly opening in a site file: oversize stays unknown where it can't be measured")
+        log.warning(
+            "no grizzly opening in a site file: oversize stays unknown where it can't be measured"
+        )
 
 
 @contextmanager
@@ -130,7 +176,13 @@ def _progress() -> Iterator[Progress]:
     )
 
     shown = sys.stderr.isatty() and log.isEnabledFor(logging.INFO)
-    columns = (TextColumn("frames"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    columns = (
+        TextColumn("frames"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
     with Progress(*columns, console=Console(stderr=True), disable=not shown) as bar:
         task = bar.add_task("frames", total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
@@ -175,11 +227,21 @@ def _ore_table(frame: dict[str, Any]) -> Any:
 
     base = "arm" if frame["arm_frame"] else "camera"
     table = Table(title=f"frame {frame['frame']}: {frame['status']}")
-    for heading in ("target", "ore", "size [mm]", "volume [l]", f"centre of gravity, {base} [m]", "± [mm]", "oversize"):
+    for heading in (
+        "target",
+        "ore",
+        "size [mm]",
+        "volume [l]",
+        f"centre of gravity, {base} [m]",
+        "± [mm]",
+        "oversize",
+    ):
         table.add_column(heading)
     table.add_column(f"strike, {base} [m]")
     rank = {ore: place for place, ore in enumerate(frame["targets"], 1)}
-    for ore in sorted(frame["ores"], key=lambda ore: (rank.get(ore["id"], len(rank) + 1), ore["id"])):
+    for ore in sorted(
+        frame["ores"], key=lambda ore: (rank.get(ore["id"], len(rank) + 1), ore["id"])
+    ):
         table.add_row(str(rank.get(ore["id"], "")), *_ore_cells(ore, base))
     return table
 
@@ -190,8 +252,20 @@ def _ore_cells(ore: dict[str, Any], base: str) -> tuple[str, ...]:
     volume = f"{1000 * ore['volume_m3']:.2f}" if ore["volume_m3"] is not None else ""
     sigma = f"{1000 * max(centre['sigma_m']):.0f}" if centre else ""
     oversize = {True: "yes", False: "no", None: "?"}[ore["oversize"]]
-    where = _vector(strike["point"][base]) if strike else ", ".join(sorted({r["code"] for r in ore["reasons"]}))
-    return str(ore["id"]), size, volume, _vector(centre[base]) if centre else "", sigma, oversize, where
+    where = (
+        _vector(strike["point"][base])
+        if strike
+        else ", ".join(sorted({r["code"] for r in ore["reasons"]}))
+    )
+    return (
+        str(ore["id"]),
+        size,
+        volume,
+        _vector(centre[base]) if centre else "",
+        sigma,
+        oversize,
+        where,
+    )
 
 
 def _vector(values: list[float]) -> str:

@@ -23,15 +23,27 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-SinksFile = Annotated[Path | None, typer.Option("--sinks", help="File of consumers: addresses, certificates, users.")]
-OpcUaPort = Annotated[int | None, typer.Option("--opcua", min=1, max=65535, help="Serve OPC UA on this loopback port.")]
-MqttPort = Annotated[int | None, typer.Option("--mqtt", min=1, max=65535, help="Port of a broker on this machine.")]
-TcpPort = Annotated[int | None, typer.Option("--tcp", min=0, max=65535, help="Serve JSON lines on this loopback port.")]
+SinksFile = Annotated[
+    Path | None, typer.Option("--sinks", help="File of consumers: addresses, certificates, users.")
+]
+OpcUaPort = Annotated[
+    int | None,
+    typer.Option("--opcua", min=1, max=65535, help="Serve OPC UA on this loopback port."),
+]
+MqttPort = Annotated[
+    int | None, typer.Option("--mqtt", min=1, max=65535, help="Port of a broker on this machine.")
+]
+TcpPort = Annotated[
+    int | None,
+    typer.Option("--tcp", min=0, max=65535, help="Serve JSON lines on this loopback port."),
+]
 ModbusPort = Annotated[
-    int | None, typer.Option("--modbus", min=1, max=65535, help="Serve Modbus TCP on this loopback port.")
+    int | None,
+    typer.Option("--modbus", min=1, max=65535, help="Serve Modbus TCP on this loopback port."),
 ]
 ValidFor = Annotated[
-    float, typer.Option("--valid-for", min=0.1, max=60, help="Seconds for which a frame's targets hold.")
+    float,
+    typer.Option("--valid-for", min=0.1, max=60, help="Seconds for which a frame's targets hold."),
 ]
 
 
@@ -41,16 +53,29 @@ def register(app: typer.Typer) -> None:
 
 
 def serve(
-    source: Annotated[Path | None, typer.Argument(help="A recording, served as if it were live.")] = None,
-    watch: Annotated[Path | None, typer.Option("--watch", help="Folder in which frames appear.")] = None,
-    camera: Annotated[int | None, typer.Option("--camera", min=0, help="UVC camera, both eyes side by side.")] = None,
-    calib: Annotated[
-        Path | None, typer.Option("--calib", help="Calibration of the camera; a bag may carry its own.")
+    source: Annotated[
+        Path | None, typer.Argument(help="A recording, served as if it were live.")
     ] = None,
-    out: Annotated[Path, typer.Option("--out", help="Folder for the results; a run in it goes on.")] = ...,  # type: ignore[assignment]
+    watch: Annotated[
+        Path | None, typer.Option("--watch", help="Folder in which frames appear.")
+    ] = None,
+    camera: Annotated[
+        int | None, typer.Option("--camera", min=0, help="UVC camera, both eyes side by side.")
+    ] = None,
+    calib: Annotated[
+        Path | None,
+        typer.Option("--calib", help="Calibration of the camera; a bag may carry its own."),
+    ] = None,
+    out: Annotated[
+        Path, typer.Option("--out", help="Folder for the results; a run in it goes on.")
+    ] = ...,  # type: ignore[assignment]
     site: Annotated[Path | None, typer.Option(help="Site: arm, working volume, grizzly.")] = None,
-    config: Annotated[Path | None, typer.Option(help="Parameters that differ from the defaults.")] = None,
-    settings: Annotated[list[str] | None, typer.Option("--set", help="One parameter: key.sub=value.")] = None,
+    config: Annotated[
+        Path | None, typer.Option(help="Parameters that differ from the defaults.")
+    ] = None,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", help="One parameter: key.sub=value.")
+    ] = None,
     sinks: SinksFile = None,
     opcua: OpcUaPort = None,
     mqtt: MqttPort = None,
@@ -58,22 +83,33 @@ def serve(
     modbus: ModbusPort = None,
     size: Annotated[
         str | None,
-        typer.Option(metavar="WxH", help="Pixels of one eye, for a calibration file of several; default: as seen."),
+        typer.Option(
+            metavar="WxH",
+            help="Pixels of one eye, for a calibration file of several; default: as seen.",
+        ),
     ] = None,
-    page: Annotated[int | None, typer.Option(min=0, max=65535, help="Live page on this loopback port.")] = None,
+    page: Annotated[
+        int | None, typer.Option(min=0, max=65535, help="Live page on this loopback port.")
+    ] = None,
     page_name: Annotated[
         list[str] | None,
-        typer.Option("--page-name", help="Name under which a reverse proxy on this machine shows the live page."),
+        typer.Option(
+            "--page-name",
+            help="Name under which a reverse proxy on this machine shows the live page.",
+        ),
     ] = None,
     valid_for: ValidFor = 5.0,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a different run in --out.")] = False,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace a different run in --out.")
+    ] = False,
 ) -> None:
     """Frames as they arrive → records, and targets to the arm's side; stop with Ctrl-C.
 
-    Each frame is recorded before it is published. Targets expire by themselves. Stopped or killed, the same command
-    goes on where it was.
+    Each frame is recorded before it is published. Targets expire by themselves. Stopped or killed,
+    the same command goes on where it was.
 
-    Example: `stereo-ore serve --watch inbox --calib calib/zed2_hd720.yaml --site site.yaml --out live --opcua 4840`
+    Example: `stereo-ore serve --watch inbox --calib calib/zed2_hd720.yaml --site site.yaml --out
+    live --opcua 4840`
     """
     from stereo_ore.chain import Chain
     from stereo_ore.io.parameters import load_config
@@ -89,10 +125,15 @@ def serve(
 
     consumer_settings = load_sinks(sinks, opcua=opcua, mqtt=mqtt, tcp=tcp, modbus=modbus)
     parameters = load_config(config, settings or [])
-    frames, calibration = _open(source, watch, camera, calib, _size(size), parameters.source.max_pixels)
+    frames, calibration = _open(
+        source, watch, camera, calib, _size(size), parameters.source.max_pixels
+    )
     chain = Chain(calibration, load_site(site) if site else None, parameters)
     if chain.site.T_arm_camera is None:
-        log.warning("no arm_from_camera in a site file: frames are recorded, but no target is ever published as valid")
+        log.warning(
+            "no arm_from_camera in a site file: frames are recorded, but no target is ever"
+            " published as valid"
+        )
     origin = Origin(new_session(), transform_id(chain.site.T_arm_camera))
     consumers = open_sinks(consumer_settings, origin)
     inputs = InputFiles(calib, site, config)
@@ -121,7 +162,11 @@ def run_live(
     from stereo_ore.plant.status import Status
 
     stop = threading.Event()
-    with Publisher(consumers, valid_for_s, origin) as publisher, _signals(stop), ExitStack() as stack:
+    with (
+        Publisher(consumers, valid_for_s, origin) as publisher,
+        _signals(stop),
+        ExitStack() as stack,
+    ):
         status = Status(source, publisher)
         if page is not None:
             shown = stack.enter_context(LivePage(page, status, folder.folder, page_names))

@@ -21,19 +21,24 @@ def register(app: typer.Typer) -> None:
 def synth(
     out: Annotated[Path, typer.Argument(help="Folder that gets a folder a scene.")],
     family: Annotated[
-        list[str] | None, typer.Option(help="large, paper, hard, raw or empty; several are taken in turn.")
+        list[str] | None,
+        typer.Option(help="large, paper, hard, raw or empty; several are taken in turn."),
     ] = None,
     count: Annotated[int, typer.Option(min=1, help="How many scenes.")] = 1,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the first scene; each next one counts up.")] = 0,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Seed of the first scene; each next one counts up.")
+    ] = 0,
     size: Annotated[str, typer.Option(help="VGA, HD720, HD1080 or 2K.")] = "HD720",
     lumps: Annotated[
-        int | None, typer.Option(min=0, max=40, help="Lumps to drop, instead of as many as the seed says.")
+        int | None,
+        typer.Option(min=0, max=40, help="Lumps to drop, instead of as many as the seed says."),
     ] = None,
 ) -> None:
-    """Make stereo pairs of ore on a grizzly with exact depth, outlines, volumes and centres of mass.
+    """Make stereo pairs of ore on a grizzly with exact depth, outlines, volumes and centres of
+    mass.
 
-    A scene folder holds left.png, right.png, calibration.yaml and site.yaml for `run`, and the truth for `evaluate`:
-    gt.npz, gt.json, calib.json. The same seed gives the same bytes.
+    A scene folder holds left.png, right.png, calibration.yaml and site.yaml for `run`, and the
+    truth for `evaluate`: gt.npz, gt.json, calib.json. The same seed gives the same bytes.
 
     Example: `stereo-ore synth scenes --family paper --family large --count 10 --seed 100`
     """

@@ -1,4 +1,6 @@
-"""``stereo-ore tune``: find a filter's parameters on clouds whose noise is known, or train its scorer."""
+"""``stereo-ore tune``: find a filter's parameters on clouds whose noise is known, or train its
+scorer.
+"""
 
 from __future__ import annotations
 
@@ -27,29 +29,49 @@ def register(app: typer.Typer) -> None:
 
 
 def tune(
-    out: Annotated[Path, typer.Argument(help="Folder for config.yaml and cost.png, or for the trained scorer.")],
-    method: Annotated[str, typer.Option(help="paper, adaptive, statistical, radius or lof.")] = "paper",
+    out: Annotated[
+        Path, typer.Argument(help="Folder for config.yaml and cost.png, or for the trained scorer.")
+    ],
+    method: Annotated[
+        str, typer.Option(help="paper, adaptive, statistical, radius or lof.")
+    ] = "paper",
     cloud: Annotated[
-        list[Path] | None, typer.Option(help="Labelled cloud [m] with a column noise; else synthetic ones.")
+        list[Path] | None,
+        typer.Option(help="Labelled cloud [m] with a column noise; else synthetic ones."),
     ] = None,
-    seeds: Annotated[int, typer.Option(min=0, max=500, help="Seeds of synthetic clouds, from 100 on.")] = 2,
-    cost: Annotated[Path | None, typer.Option(help="YAML: weights of precision, recall and retention.")] = None,
+    seeds: Annotated[
+        int, typer.Option(min=0, max=500, help="Seeds of synthetic clouds, from 100 on.")
+    ] = 2,
+    cost: Annotated[
+        Path | None, typer.Option(help="YAML: weights of precision, recall and retention.")
+    ] = None,
     train: Annotated[
         str | None,
         typer.Option(
-            help="geometry or stereo: train adaptive's scorer instead; segment: the models of lumps; "
-            "solids: the prior; confidence: that of disparities, on the pairs of --scene."
+            help=(
+                "geometry or stereo: train adaptive's scorer instead; segment: the models of"
+                " lumps; "
+                "solids: the prior; confidence: that of disparities, on the pairs of --scene."
+            )
         ),
     ] = None,
-    scene: Annotated[list[Path] | None, typer.Option(help="Scene folder with truth to train on as well.")] = None,
-    scan: Annotated[list[Path] | None, typer.Option(help="geometry: a scan without outliers, to learn from.")] = None,
-    sets: Annotated[Path | None, typer.Option(help="stereo: folder of real pairs with true disparities.")] = None,
+    scene: Annotated[
+        list[Path] | None, typer.Option(help="Scene folder with truth to train on as well.")
+    ] = None,
+    scan: Annotated[
+        list[Path] | None, typer.Option(help="geometry: a scan without outliers, to learn from.")
+    ] = None,
+    sets: Annotated[
+        Path | None, typer.Option(help="stereo: folder of real pairs with true disparities.")
+    ] = None,
 ) -> None:
-    """Find the parameters with the least cost, the weighted mean of 1 − P_r, 1 − Recall and 1 − Retain.
+    """Find the parameters with the least cost, the weighted mean of 1 − P_r, 1 − Recall and 1 −
+    Retain.
 
     Synthetic clouds for tuning have seeds from 100 on; `bench filter` reports on seeds below that.
 
-    Example: `stereo-ore tune tuned --method paper` then `stereo-ore run … --config tuned/config.yaml`
+    Example: `stereo-ore tune tuned --method paper` then `stereo-ore run … --config
+    tuned/config.yaml`
     """
     if train:
         _train(out, train, Material(seeds, tuple(scene or ()), tuple(scan or ()), sets))
@@ -67,7 +89,12 @@ def _search(out: Path, method: str, files: list[Path], seeds: int, cost: Path | 
     from stereo_ore.lab import tune as tuning
     from stereo_ore.lab.bench import labelled
 
-    weights = validate(tuning.CostWeights, load_yaml(cost, ConfigError) if cost else {}, cost or "cost", ConfigError)
+    weights = validate(
+        tuning.CostWeights,
+        load_yaml(cost, ConfigError) if cost else {},
+        cost or "cost",
+        ConfigError,
+    )
     start = labelled.TUNING_SEED
     made = [] if files else labelled.paper_clouds(range(start, start + seeds))
     clouds = [*map(labelled.labelled_file, files), *made]
@@ -84,7 +111,9 @@ def _search(out: Path, method: str, files: list[Path], seeds: int, cost: Path | 
 
 @dataclass(frozen=True)
 class Material:
-    """What there is to learn from: seeds of made things, scene folders, clean scans, a folder of real pairs."""
+    """What there is to learn from: seeds of made things, scene folders, clean scans, a folder of
+    real pairs.
+    """
 
     seeds: int
     scenes: tuple[Path, ...] = ()
@@ -104,7 +133,9 @@ def _train(out: Path, kind: str, material: Material) -> None:
         "confidence": _train_confidence,
     }
     if kind not in trainers:
-        raise ConfigError(f"{kind!r} can't be trained", key="--train", remedy=f"Use one of {', '.join(trainers)}")
+        raise ConfigError(
+            f"{kind!r} can't be trained", key="--train", remedy=f"Use one of {', '.join(trainers)}"
+        )
     make_folder(out)
     text = trainers[kind](range(TUNING_SEED, TUNING_SEED + material.seeds), material)
     path = out / f"{kind}.json"
@@ -119,7 +150,9 @@ def _train_geometry(seeds: range, material: Material) -> str:
 
     scans = [scan(path) for path in material.scans]
     made = bare_clouds.bare_clouds(seeds, scans)
-    scorer = scorers.train(_watched(made, bare_clouds.clouds_a_seed() * len(seeds), "clouds"), "geometry")
+    scorer = scorers.train(
+        _watched(made, bare_clouds.clouds_a_seed() * len(seeds), "clouds"), "geometry"
+    )
     return provenance.of_geometry(scorer, seeds, [path.name for path in material.scans]).to_json()
 
 
@@ -145,7 +178,9 @@ def _train_segment(seeds: range, material: Material) -> str:
         *(partial(lumps.scene_views, s) for s in material.scenes),
         *(partial(lumps.made_views, n) for n in seeds),
     ]
-    views = [view for source in _watched(iter(sources), len(sources), "scenes") for view in source()]
+    views = [
+        view for source in _watched(iter(sources), len(sources), "scenes") for view in source()
+    ]
     weights, quality = lumps.train(views, SegmentConfig())
     log.info("on unseen scenes: %s", quality)
     return weights.to_json()
@@ -155,17 +190,28 @@ def _train_solids(seeds: range, material: Material) -> str:
     """JSON of the solids' shape prior; its errors on scenes left out of the fit are logged."""
     from stereo_ore.lab.training import shape_prior, solids
 
-    folders = [sample for folder in material.scenes for sample in solids.samples(solids.recorded(folder))]
+    folders = [
+        sample for folder in material.scenes for sample in solids.samples(solids.recorded(folder))
+    ]
     first = solids.FIRST_SEED
     made = map(solids.made, range(first, first + len(seeds)))
-    found = [*folders, *(s for scene in _watched(made, len(seeds), "scenes") for s in solids.samples(scene))]
+    found = [
+        *folders,
+        *(s for scene in _watched(made, len(seeds), "scenes") for s in solids.samples(scene)),
+    ]
     if not found:
         raise ConfigError("no lump was found", key="--seeds", remedy="Give more seeds or scenes")
     prior, errors = shape_prior.train(found)
     for name, recorded in ("scene folders", True), ("made-up scenes", False):
-        rows = [i for i, s in enumerate(found) if s.seen_as == "measured" and s.recorded is recorded]
+        rows = [
+            i for i, s in enumerate(found) if s.seen_as == "measured" and s.recorded is recorded
+        ]
         if rows:
-            log.info("%s left out: %s", name, shape_prior.quality([found[i] for i in rows], errors[rows], prior))
+            log.info(
+                "%s left out: %s",
+                name,
+                shape_prior.quality([found[i] for i in rows], errors[rows], prior),
+            )
     return prior.to_json()
 
 
@@ -177,7 +223,9 @@ def _train_confidence(_seeds: range, material: Material) -> str:
 
     folders = (*material.scenes, *((material.sets,) if material.sets else ()))
     if not folders:
-        raise ConfigError("no set was given", key="--scene", remedy="Give folders of stereo pairs with truth")
+        raise ConfigError(
+            "no set was given", key="--scene", remedy="Give folders of stereo pairs with truth"
+        )
     sets = (data for folder in folders for data in stereo_sets.find_sets(folder))
     examples = list(confidence.views(sets, MatchingConfig()))
     network, quality = confidence.train(examples)

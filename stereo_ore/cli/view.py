@@ -16,7 +16,8 @@ def register(app: typer.Typer) -> None:
 def view(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder that `run` has written.")],
     save: Annotated[
-        Path | None, typer.Option("--save", help="Write a rerun recording (.rrd) instead of opening a window.")
+        Path | None,
+        typer.Option("--save", help="Write a rerun recording (.rrd) instead of opening a window."),
     ] = None,
 ) -> None:
     """Show the frames of a run on a time line: overlay, disparity, clouds, lumps, targets, counts.

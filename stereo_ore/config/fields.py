@@ -1,4 +1,6 @@
-"""What hand-written files have in common: sections without unknown keys, numbers that are numbers."""
+"""What hand-written files have in common: sections without unknown keys, numbers that are
+numbers.
+"""
 
 from __future__ import annotations
 

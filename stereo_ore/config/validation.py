@@ -13,15 +13,20 @@ from stereo_ore.errors import StereoOreError
 
 Model = TypeVar("Model", bound=BaseModel)
 SECRETS = frozenset(("users", "password"))
-"""Keys whose value an error does not repeat: where it is wrong, it may be a password in the wrong place."""
+"""Keys whose value an error does not repeat: where it is wrong, it may be a password in the wrong
+place."""
 
 
 def validate(model: type[Model], data: Any, file: str | Path, error: type[StereoOreError]) -> Model:
-    """Parse `data` as `model`, or raise `error` with all faults, a line each where there are several."""
+    """Parse `data` as `model`, or raise `error` with all faults, a line each where there are
+    several.
+    """
     try:
         return model.model_validate(data)
     except ValidationError as fault:
-        lines = [_describe(item, model).replace("\n", "\\n") for item in fault.errors(include_url=False)]
+        lines = [
+            _describe(item, model).replace("\n", "\\n") for item in fault.errors(include_url=False)
+        ]
         text = lines[0] if len(lines) == 1 else f"{len(lines)} faults:\n  " + "\n  ".join(lines)
         raise error(text, file=file) from None
 
@@ -48,7 +53,9 @@ def _keys_at(model: type[BaseModel], location: Sequence[Any]) -> list[str]:
     for part in location:
         field = model.model_fields.get(str(part))
         kinds = (field.annotation, *get_args(field.annotation)) if field else ()
-        inner = next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)), None)
+        inner = next(
+            (kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)), None
+        )
         if inner is None:
             return list(model.model_fields)
         model = inner

@@ -52,7 +52,8 @@ def if_possible(draw: Callable[[], object]) -> None:
 
 
 def save_figure(figure: Any, path: Path, dpi: int | str = "figure") -> None:
-    """Write a figure in the format that its name says, without the writer's version, so that bytes can be compared.
+    """Write a figure in the format that its name says, without the writer's version, so that bytes
+    can be compared.
 
     Raises
     ------
@@ -65,4 +66,6 @@ def save_figure(figure: Any, path: Path, dpi: int | str = "figure") -> None:
         figure.savefig(path, dpi=dpi, metadata=metadata)
     except (OSError, ValueError) as fault:
         reason = getattr(fault, "strerror", None) or str(fault)
-        raise OutputError(f"can't be written: {reason}", file=path, remedy="Name a .png, .pdf or .svg file") from None
+        raise OutputError(
+            f"can't be written: {reason}", file=path, remedy="Name a .png, .pdf or .svg file"
+        ) from None

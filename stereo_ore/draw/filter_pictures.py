@@ -1,4 +1,6 @@
-"""Pictures of filtering: outlier factors as circles (the paper's Figure 4), filters side by side (its Figure 5)."""
+"""Pictures of filtering: outlier factors as circles (the paper's Figure 4), filters side by side
+(its Figure 5).
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,8 @@ Array = npt.NDArray[Any]
 
 
 def outlier_factors(xyz: Array, score: Array, path: Path) -> None:
-    """Draw points from above, each with a red circle whose area grows with its score between the 50 % and 99.5 % rank.
+    """Draw points from above, each with a red circle whose area grows with its score between the 50
+    % and 99.5 % rank.
 
     Parameters
     ----------
@@ -33,13 +36,20 @@ def outlier_factors(xyz: Array, score: Array, path: Path) -> None:
         PNG, PDF or SVG.
     """
     rows = _shown(xyz)
-    finite = np.where(np.isfinite(score[rows]), score[rows], np.nanmax(score[np.isfinite(score)], initial=0))
+    finite = np.where(
+        np.isfinite(score[rows]), score[rows], np.nanmax(score[np.isfinite(score)], initial=0)
+    )
     low, high = np.quantile(finite, (0.5, 0.995)) if len(finite) else (0.0, 1.0)
     size = np.clip((finite - low) / max(high - low, 1e-12), 0, 1)
     across, up = _view(xyz)
     figure, (axes,) = panels(1)
     axes.scatter(xyz[rows, across], xyz[rows, up], s=0.5, c=SURFACE, linewidths=0)
-    circles = {"s": size * LARGEST_CIRCLE, "facecolors": "none", "edgecolors": NOISE, "linewidths": 0.5}
+    circles = {
+        "s": size * LARGEST_CIRCLE,
+        "facecolors": "none",
+        "edgecolors": NOISE,
+        "linewidths": 0.5,
+    }
     axes.scatter(xyz[rows, across], xyz[rows, up], **circles)
     axes.set_title("outlier factor: the larger the circle, the more likely noise")
     save_figure(figure, path)
@@ -62,7 +72,13 @@ def side_by_side(xyz: Array, keeps: Mapping[str, Mask], path: Path) -> None:
     figure, all_axes = panels(len(keeps))
     for axes, (title, keep) in zip(all_axes, keeps.items(), strict=True):
         colours = np.where(keep[rows], SURFACE, NOISE)
-        axes.scatter(xyz[rows, across], xyz[rows, up], s=np.where(keep[rows], 0.5, 2.0), c=colours, linewidths=0)
+        axes.scatter(
+            xyz[rows, across],
+            xyz[rows, up],
+            s=np.where(keep[rows], 0.5, 2.0),
+            c=colours,
+            linewidths=0,
+        )
         axes.set_title(f"{title}: {int((~keep).sum()):,} of {len(keep):,} removed")
     save_figure(figure, path)
 

@@ -19,7 +19,8 @@ ARROW_LENGTH_M = 0.15
 
 
 def draw(result: FrameResult) -> U8 | None:
-    """Outlines (oversize red, unknown amber, else green), ids, centres of gravity (+), strikes (arrow).
+    """Outlines (oversize red, unknown amber, else green), ids, centres of gravity (+), strikes
+    (arrow).
 
     None for a frame without an image.
     """
@@ -51,15 +52,28 @@ def _draw_outline(image: U8, result: FrameResult, ore: Ore, scale: float) -> Non
 
 def _draw_marks(image: U8, rig: Rig, ore: Ore, first: bool, scale: float) -> None:
     if ore.solid is not None:
-        cv2.drawMarker(image, _pixel(rig, ore.solid.centre_of_gravity), CYAN, cv2.MARKER_CROSS, round(16 * scale), 2)
+        cv2.drawMarker(
+            image,
+            _pixel(rig, ore.solid.centre_of_gravity),
+            CYAN,
+            cv2.MARKER_CROSS,
+            round(16 * scale),
+            2,
+        )
     if ore.plan.strikes:
         strike = ore.plan.strikes[0]
         tip, tail = strike.point, strike.point - ARROW_LENGTH_M * strike.direction
         thickness = max(1, round((3 if first else 2) * scale))
-        cv2.arrowedLine(image, _pixel(rig, tail), _pixel(rig, tip), WHITE, thickness, cv2.LINE_AA, tipLength=0.3)
+        cv2.arrowedLine(
+            image, _pixel(rig, tail), _pixel(rig, tip), WHITE, thickness, cv2.LINE_AA, tipLength=0.3
+        )
         cv2.circle(image, _pixel(rig, tip), round(4 * scale), WHITE, -1, cv2.LINE_AA)
     u, v = _pixel(rig, ore.surface_centroid)
-    size = "" if ore.solid is None else f" {1000 * ore.solid.size_m[0]:.0f}x{1000 * ore.solid.size_m[1]:.0f} mm"
+    size = (
+        ""
+        if ore.solid is None
+        else f" {1000 * ore.solid.size_m[0]:.0f}x{1000 * ore.solid.size_m[1]:.0f} mm"
+    )
     _text(image, f"{ore.id}{size}", (u + round(8 * scale), v - round(8 * scale)), scale)
 
 
@@ -79,7 +93,9 @@ def _text(image: U8, text: str, at: tuple[int, int], scale: float) -> None:
     around = [(dx * rim, dy * rim, BLACK) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
     for dx, dy, colour in [*around, (0, 0, WHITE)]:
         where = (at[0] + dx, at[1] + dy)
-        cv2.putText(image, text, where, cv2.FONT_HERSHEY_SIMPLEX, 0.5 * scale, colour, rim, cv2.LINE_AA)
+        cv2.putText(
+            image, text, where, cv2.FONT_HERSHEY_SIMPLEX, 0.5 * scale, colour, rim, cv2.LINE_AA
+        )
 
 
 def _pixel(rig: Rig, point: F64) -> tuple[int, int]:

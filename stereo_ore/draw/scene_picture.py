@@ -1,4 +1,6 @@
-"""A picture of what a frame gave, in space: screen, surface, solids, centres of gravity and strikes."""
+"""A picture of what a frame gave, in space: screen, surface, solids, centres of gravity and
+strikes.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,8 @@ ARROW = 0.12
 
 
 def draw(result: FrameResult) -> U8 | None:
-    """Draw the solids (oversize red, unknown amber, else green) with centres of gravity and strikes as arrows.
+    """Draw the solids (oversize red, unknown amber, else green) with centres of gravity and strikes
+    as arrows.
 
     The frame drawn is the screen's: x across the bars, z along the normal, metres.
 
@@ -54,13 +57,23 @@ def draw(result: FrameResult) -> U8 | None:
     if result.grizzly.bars is not None:
         _draw_bars(axes, result.grizzly.bars, low, high)
     for ore in result.ores:
-        _draw_ore(axes, ore, screen, first=ore.id in result.targets[:1], arrow=ARROW * float((high - low).max()))
-    _finish(axes, low, high, f"{result.name}: {len(result.ores)} ores, {len(result.targets)} targets")
+        _draw_ore(
+            axes,
+            ore,
+            screen,
+            first=ore.id in result.targets[:1],
+            arrow=ARROW * float((high - low).max()),
+        )
+    _finish(
+        axes, low, high, f"{result.name}: {len(result.ores)} ores, {len(result.targets)} targets"
+    )
     return _render(figure)
 
 
 class _Screen:
-    """The screen's frame: x across the bars, or across the image when they are unknown, z along the normal."""
+    """The screen's frame: x across the bars, or across the image when they are unknown, z along the
+    normal.
+    """
 
     def __init__(self, grizzly: Grizzly) -> None:
         across = np.array([1.0, 0.0, 0.0]) if grizzly.bars is None else grizzly.bars.across
@@ -73,7 +86,9 @@ class _Screen:
 
 
 def _bounds(hulls: Sequence[F64]) -> tuple[F64, F64]:
-    """Corners of a box around all points with a margin; one metre around the origin when there are none."""
+    """Corners of a box around all points with a margin; one metre around the origin when there are
+    none.
+    """
     points = np.concatenate([*hulls, np.empty((0, 3))])
     if not len(points):
         return np.full(3, -0.5), np.full(3, 0.5)
@@ -86,15 +101,28 @@ def _draw_surface(axes: Any, surface: Surface, screen: _Screen, low: F64, high: 
     points, colours = screen.place(surface.xyz.reshape(-1, 3)), surface.bgr.reshape(-1, 3)[:, ::-1]
     inside = np.nonzero(((points > low) & (points < high)).all(1))[0]
     inside = inside[:: max(1, len(inside) // SURFACE_POINTS)]
-    axes.scatter(*points[inside].T, c=colours[inside] / 255.0, s=2.0, linewidths=0, alpha=0.6, zorder=1)
+    axes.scatter(
+        *points[inside].T, c=colours[inside] / 255.0, s=2.0, linewidths=0, alpha=0.6, zorder=1
+    )
 
 
 def _draw_bars(axes: Any, bars: Bars, low: F64, high: F64) -> None:
     """The bars that cross the box, as lines along y."""
-    first, last = np.ceil((low[0] - bars.phase_m) / bars.pitch_m), np.floor((high[0] - bars.phase_m) / bars.pitch_m)
+    first, last = (
+        np.ceil((low[0] - bars.phase_m) / bars.pitch_m),
+        np.floor((high[0] - bars.phase_m) / bars.pitch_m),
+    )
     for n in np.arange(first, last + 1):
         x = bars.phase_m + n * bars.pitch_m
-        axes.plot([x, x], [low[1], high[1]], [0.0, 0.0], color="#707070", linewidth=4.0, alpha=0.7, zorder=0)
+        axes.plot(
+            [x, x],
+            [low[1], high[1]],
+            [0.0, 0.0],
+            color="#707070",
+            linewidth=4.0,
+            alpha=0.7,
+            zorder=0,
+        )
 
 
 def _draw_ore(axes: Any, ore: Ore, screen: _Screen, first: bool, arrow: float) -> None:
@@ -104,7 +132,12 @@ def _draw_ore(axes: Any, ore: Ore, screen: _Screen, first: bool, arrow: float) -
         colour = {True: OVERSIZE, None: UNKNOWN, False: PASSES}[ore.solid.oversize]
         vertices = screen.place(ore.solid.vertices)
         axes.plot_trisurf(
-            *vertices.T, triangles=ConvexHull(vertices).simplices, color=colour, alpha=0.3, linewidth=0.3, zorder=2
+            *vertices.T,
+            triangles=ConvexHull(vertices).simplices,
+            color=colour,
+            alpha=0.3,
+            linewidth=0.3,
+            zorder=2,
         )
         centre = screen.place(ore.solid.centre_of_gravity)
         axes.scatter(*centre[:, None], color="black", marker="+", s=70, zorder=4)
@@ -112,7 +145,11 @@ def _draw_ore(axes: Any, ore: Ore, screen: _Screen, first: bool, arrow: float) -
     for rank, strike in enumerate(ore.plan.strikes):
         tip = screen.place(strike.point)
         tail = screen.place(strike.point - arrow * strike.direction)
-        style = {"color": "#1746d1" if first else "black", "linewidth": 2.2} if rank == 0 else {"color": "#888888"}
+        style = (
+            {"color": "#1746d1" if first else "black", "linewidth": 2.2}
+            if rank == 0
+            else {"color": "#888888"}
+        )
         axes.quiver(*tail, *(tip - tail), arrow_length_ratio=0.25, zorder=6, **style)
 
 

@@ -1,4 +1,6 @@
-"""A run on rerun's time line: overlay, disparity, clouds before and after the filter, lumps, strikes, counts."""
+"""A run on rerun's time line: overlay, disparity, clouds before and after the filter, lumps,
+strikes, counts.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,13 @@ from stereo_ore.io.results import Json, Results
 if TYPE_CHECKING:
     from rerun import RecordingStream
 
-RED, GREEN, AMBER, CYAN, WHITE = (230, 60, 60), (90, 220, 110), (255, 180, 40), (60, 220, 255), (255, 255, 255)
+RED, GREEN, AMBER, CYAN, WHITE = (
+    (230, 60, 60),
+    (90, 220, 110),
+    (255, 180, 40),
+    (60, 220, 255),
+    (255, 255, 255),
+)
 ARROW_LENGTH_M = 0.25
 POINT_RADIUS_PX = 1.5
 
@@ -27,8 +35,8 @@ POINT_RADIUS_PX = 1.5
 def save_view(results: Results, path: Path) -> Path:
     """Write the run as a rerun recording (``.rrd``), without a display.
 
-    Frames are on the time line ``frame`` and, where they have stamps, on ``time``. Disparity, removed voxels and ore
-    map are there when the run was made with ``--save-stages``.
+    Frames are on the time line ``frame`` and, where they have stamps, on ``time``. Disparity,
+    removed voxels and ore map are there when the run was made with ``--save-stages``.
 
     Raises
     ------
@@ -56,8 +64,12 @@ def open_view(results: Results) -> None:
         Without the rerun-sdk package, or without a display.
     """
     records = results.records
-    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise OutputError("there is no display", remedy="Give --save FILE.rrd, and open that where there is one")
+    if sys.platform == "linux" and not (
+        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    ):
+        raise OutputError(
+            "there is no display", remedy="Give --save FILE.rrd, and open that where there is one"
+        )
     stream = _stream()
     stream.spawn(default_blueprint=_blueprint())
     _log(stream, results, records)
@@ -81,9 +93,13 @@ def _blueprint() -> Any:
         rrb.Spatial2DView(origin="/camera/ore_map", name="ore map"),
     )
     side = rrb.Vertical(
-        pictures, rrb.TimeSeriesView(origin="/counts", name="counts"), rrb.TextLogView(origin="/status", name="status")
+        pictures,
+        rrb.TimeSeriesView(origin="/counts", name="counts"),
+        rrb.TextLogView(origin="/status", name="status"),
     )
-    return rrb.Horizontal(rrb.Spatial3DView(origin="/world", name="rectified left camera [m]"), side)
+    return rrb.Horizontal(
+        rrb.Spatial3DView(origin="/world", name="rectified left camera [m]"), side
+    )
 
 
 def _log(stream: RecordingStream, results: Results, records: tuple[Json, ...]) -> None:
@@ -92,7 +108,9 @@ def _log(stream: RecordingStream, results: Results, records: tuple[Json, ...]) -
     stream.log("world", rr.ViewCoordinates.RDF, static=True)
     if rig := results.rig:
         lens = rr.Pinhole(
-            focal_length=(rig.fx, rig.fy), principal_point=(rig.cx, rig.cy), resolution=(rig.width, rig.height)
+            focal_length=(rig.fx, rig.fy),
+            principal_point=(rig.cx, rig.cy),
+            resolution=(rig.width, rig.height),
         )
         stream.log("world/camera", lens, static=True)
     for record in records:
@@ -111,7 +129,9 @@ def _log_frame(stream: RecordingStream, results: Results, record: Json) -> None:
 
     frame = record["frame"]
     if overlay := results.overlay(frame):
-        stream.log("camera/overlay", rr.EncodedImage(contents=overlay.read_bytes(), media_type="image/png"))
+        stream.log(
+            "camera/overlay", rr.EncodedImage(contents=overlay.read_bytes(), media_type="image/png")
+        )
     if (cloud := results.cloud(frame)) is not None:
         colours = np.stack([cloud[name] for name in ("red", "green", "blue")], 1)
         stream.log("world/frame/cloud", _points(clouds.xyz(cloud), colours))
@@ -139,7 +159,9 @@ def _log_ores(stream: RecordingStream, record: Json) -> None:
 
     solids = [ore for ore in record["ores"] if ore["box"]]
     if solids:
-        axes = np.array([ore["box"]["camera"]["axes"] for ore in solids], np.float64).transpose(0, 2, 1)
+        axes = np.array([ore["box"]["camera"]["axes"] for ore in solids], np.float64).transpose(
+            0, 2, 1
+        )
         axes[:, :, 2] *= np.sign(np.linalg.det(axes))[:, None]
         boxes = rr.Boxes3D(
             centers=[ore["box"]["camera"]["centre"] for ore in solids],
@@ -149,15 +171,21 @@ def _log_ores(stream: RecordingStream, record: Json) -> None:
             labels=[_label(ore) for ore in solids],
         )
         stream.log("world/frame/ores", boxes)
-        stream.log("world/frame/centres", _points([ore["centre_of_gravity"]["camera"] for ore in solids], CYAN, 6))
+        stream.log(
+            "world/frame/centres",
+            _points([ore["centre_of_gravity"]["camera"] for ore in solids], CYAN, 6),
+        )
     ranks = {id: rank for rank, id in enumerate(record["targets"], 1)}
     struck = [ore for ore in record["ores"] if ore["strike"] and ore["id"] in ranks]
     if struck:
-        vectors = ARROW_LENGTH_M * np.array([ore["strike"]["direction"]["camera"] for ore in struck])
+        vectors = ARROW_LENGTH_M * np.array(
+            [ore["strike"]["direction"]["camera"] for ore in struck]
+        )
         tips = np.array([ore["strike"]["point"]["camera"] for ore in struck])
         labels = [f"target {ranks[ore['id']]}" for ore in struck]
         stream.log(
-            "world/frame/targets", rr.Arrows3D(origins=tips - vectors, vectors=vectors, colors=WHITE, labels=labels)
+            "world/frame/targets",
+            rr.Arrows3D(origins=tips - vectors, vectors=vectors, colors=WHITE, labels=labels),
         )
 
 
@@ -169,4 +197,6 @@ def _label(ore: Json) -> str:
 def _points(xyz: Any, colours: Any, radius_px: float = POINT_RADIUS_PX) -> Any:
     import rerun as rr
 
-    return rr.Points3D(np.asarray(xyz, np.float32), colors=colours, radii=rr.Radius.ui_points(radius_px))
+    return rr.Points3D(
+        np.asarray(xyz, np.float32), colors=colours, radii=rr.Radius.ui_points(radius_px)
+    )

@@ -1,4 +1,6 @@
-"""A run's results as a ROS 2 bag in MCAP, which Foxglove and ``ros2 bag`` open: clouds, lumps, targets, overlays."""
+"""A run's results as a ROS 2 bag in MCAP, which Foxglove and ``ros2 bag`` open: clouds, lumps,
+targets, overlays.
+"""
 
 from __future__ import annotations
 
@@ -21,21 +23,31 @@ from stereo_ore.types import F64
 CAMERA_FRAME, ARM_FRAME = "left_rectified", "arm"
 STATIC = "/tf_static"
 UNKNOWN_PERIOD_NS = 1_000_000_000
-"""Frames without a stamp are put this far apart, from the beginning of time on: no stamp is made up that looks real."""
+"""Frames without a stamp are put this far apart, from the beginning of time on: no stamp is made up
+that looks real."""
 
 _POINT_KINDS = {"f4": 7, "i4": 5}  # PointField.FLOAT32, INT32: four bytes each
-_POINT_FIELDS = (("x", "f4"), ("y", "f4"), ("z", "f4"), ("rgb", "f4"), ("ore_id", "i4"), ("score", "f4"))
+_POINT_FIELDS = (
+    ("x", "f4"),
+    ("y", "f4"),
+    ("z", "f4"),
+    ("rgb", "f4"),
+    ("ore_id", "i4"),
+    ("score", "f4"),
+)
 
 Message = tuple[str, Any]
 """Topic and message."""
 
 
 def write_mcap(results: Results, path: Path) -> Path:
-    """Write the frames of a run as folder `path` with a ``.mcap`` file and ``metadata.yaml``; the path of the former.
+    """Write the frames of a run as folder `path` with a ``.mcap`` file and ``metadata.yaml``; the
+    path of the former.
 
-    Topics: ``/stereo_ore/cloud`` PointCloud2, ``/stereo_ore/ores`` Detection3DArray, ``/stereo_ore/targets`` PoseArray
-    (x along the way of the tool; arm frame if known), ``/stereo_ore/overlay`` CompressedImage, ``/stereo_ore/record``
-    String (the record as JSON), ``/tf_static`` where the arm is known.
+    Topics: ``/stereo_ore/cloud`` PointCloud2, ``/stereo_ore/ores`` Detection3DArray,
+    ``/stereo_ore/targets`` PoseArray (x along the way of the tool; arm frame if known),
+    ``/stereo_ore/overlay`` CompressedImage, ``/stereo_ore/record`` String (the record as JSON),
+    ``/tf_static`` where the arm is known.
 
     Raises
     ------
@@ -61,13 +73,22 @@ def write_mcap(results: Results, path: Path) -> Path:
         with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
             for record in records:
                 stamp_ns = stamp_of(record)
-                for topic, message in _messages(results, record, store.types, first=record is records[0]):
+                for topic, message in _messages(
+                    results, record, store.types, first=record is records[0]
+                ):
                     if topic not in connections:
                         offered = _latched() if topic == STATIC else ()
                         connections[topic] = bag.add_connection(
-                            topic, message.__msgtype__, typestore=store, offered_qos_profiles=offered
+                            topic,
+                            message.__msgtype__,
+                            typestore=store,
+                            offered_qos_profiles=offered,
                         )
-                    bag.write(connections[topic], stamp_ns, store.serialize_cdr(message, message.__msgtype__))
+                    bag.write(
+                        connections[topic],
+                        stamp_ns,
+                        store.serialize_cdr(message, message.__msgtype__),
+                    )
 
     try:
         guarded(path, write)
@@ -78,18 +99,43 @@ def write_mcap(results: Results, path: Path) -> Path:
 
 
 def _latched() -> tuple[Any, ...]:
-    """Quality of service that listeners to static transforms ask for (REP 2003); without it they get none."""
-    from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+    """Quality of service that listeners to static transforms ask for (REP 2003); without it they
+    get none.
+    """
+    from rosbags.interfaces import (
+        Qos,
+        QosDurability,
+        QosHistory,
+        QosLiveliness,
+        QosReliability,
+        QosTime,
+    )
 
     unlimited = QosTime(2147483647, 4294967295)
     reliable, durable = QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL
     liveliness = QosLiveliness.SYSTEM_DEFAULT
-    return (Qos(QosHistory.KEEP_LAST, 1, reliable, durable, unlimited, unlimited, liveliness, unlimited, False),)
+    return (
+        Qos(
+            QosHistory.KEEP_LAST,
+            1,
+            reliable,
+            durable,
+            unlimited,
+            unlimited,
+            liveliness,
+            unlimited,
+            False,
+        ),
+    )
 
 
 def stamp_of(record: Json) -> int:
     """The frame's stamp [ns], or its place in time when it has none."""
-    return int(record["stamp_ns"] if record["stamp_ns"] is not None else record["index"] * UNKNOWN_PERIOD_NS)
+    return int(
+        record["stamp_ns"]
+        if record["stamp_ns"] is not None
+        else record["index"] * UNKNOWN_PERIOD_NS
+    )
 
 
 Types = Mapping[str, Callable[..., Any]]
@@ -114,14 +160,17 @@ class _Ros:
 
     def __init__(self, types: Types, stamp_ns: int) -> None:
         self.types = types
-        self.stamp = types["builtin_interfaces/msg/Time"](sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
+        self.stamp = types["builtin_interfaces/msg/Time"](
+            sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9
+        )
 
     def header(self, frame_id: str) -> Any:
         return self.types["std_msgs/msg/Header"](stamp=self.stamp, frame_id=frame_id)
 
     def transform(self, T_arm_camera: F64) -> Any:
         move = self.types["geometry_msgs/msg/Transform"](
-            translation=self._vector(T_arm_camera[:3, 3]), rotation=self._quaternion(T_arm_camera[:3, :3])
+            translation=self._vector(T_arm_camera[:3, 3]),
+            rotation=self._quaternion(T_arm_camera[:3, :3]),
         )
         stamped = self.types["geometry_msgs/msg/TransformStamped"](
             header=self.header(ARM_FRAME), child_frame_id=CAMERA_FRAME, transform=move
@@ -135,7 +184,9 @@ class _Ros:
         red, green, blue = (cloud[name].astype("<u4") for name in ("red", "green", "blue"))
         table["rgb"] = ((red << 16) | (green << 8) | blue).astype("<u4").view("<f4")
         fields = [
-            self.types["sensor_msgs/msg/PointField"](name=name, offset=4 * place, datatype=_POINT_KINDS[kind], count=1)
+            self.types["sensor_msgs/msg/PointField"](
+                name=name, offset=4 * place, datatype=_POINT_KINDS[kind], count=1
+            )
             for place, (name, kind) in enumerate(_POINT_FIELDS)
         ]
         step = table.dtype.itemsize
@@ -167,8 +218,12 @@ class _Ros:
         centre = self.types["geometry_msgs/msg/PoseWithCovariance"](
             pose=self._pose(ore["centre_of_gravity"]["camera"], axes), covariance=_covariance(ore)
         )
-        result = self.types["vision_msgs/msg/ObjectHypothesisWithPose"](hypothesis=hypothesis, pose=centre)
-        bounds = self.types["vision_msgs/msg/BoundingBox3D"](center=pose, size=self._vector(ore["box"]["extent_m"]))
+        result = self.types["vision_msgs/msg/ObjectHypothesisWithPose"](
+            hypothesis=hypothesis, pose=centre
+        )
+        bounds = self.types["vision_msgs/msg/BoundingBox3D"](
+            center=pose, size=self._vector(ore["box"]["extent_m"])
+        )
         return self.types["vision_msgs/msg/Detection3D"](
             header=self.header(CAMERA_FRAME), results=[result], bbox=bounds, id=str(ore["id"])
         )
@@ -177,7 +232,9 @@ class _Ros:
         base = "arm" if record["arm_frame"] else "camera"
         strikes = {ore["id"]: ore["strike"] for ore in record["ores"]}
         poses = [
-            self._pose(strikes[id]["point"][base], _x_along(np.array(strikes[id]["direction"][base])))
+            self._pose(
+                strikes[id]["point"][base], _x_along(np.array(strikes[id]["direction"][base]))
+            )
             for id in record["targets"]
         ]
         frame_id = ARM_FRAME if base == "arm" else CAMERA_FRAME
@@ -191,7 +248,9 @@ class _Ros:
     def _pose(self, position: npt.ArrayLike, axes: F64) -> Any:
         x, y, z = (float(value) for value in np.asarray(position))
         point = self.types["geometry_msgs/msg/Point"](x=x, y=y, z=z)
-        return self.types["geometry_msgs/msg/Pose"](position=point, orientation=self._quaternion(axes))
+        return self.types["geometry_msgs/msg/Pose"](
+            position=point, orientation=self._quaternion(axes)
+        )
 
     def _vector(self, values: npt.ArrayLike) -> Any:
         x, y, z = (float(value) for value in np.asarray(values))
@@ -205,7 +264,9 @@ class _Ros:
 
 
 def _x_along(direction: F64) -> F64:
-    """Axes (3, 3), as columns, whose first is `direction`: viewers draw a pose as an arrow along x."""
+    """Axes (3, 3), as columns, whose first is `direction`: viewers draw a pose as an arrow along
+    x.
+    """
     helper = np.eye(3)[np.argmin(np.abs(direction))]
     y = np.cross(helper, direction)
     y /= np.linalg.norm(y)
@@ -213,7 +274,9 @@ def _x_along(direction: F64) -> F64:
 
 
 def _covariance(ore: Json) -> F64:
-    """(36,) covariance of the centre of gravity; the rotation's is unknown, which ROS writes as −1 at its place."""
+    """(36,) covariance of the centre of gravity; the rotation's is unknown, which ROS writes as −1
+    at its place.
+    """
     covariance = np.zeros((6, 6))
     covariance[range(3), range(3)] = np.square(ore["centre_of_gravity"]["sigma_m"])
     covariance[range(3, 6), range(3, 6)] = -1

@@ -1,4 +1,6 @@
-"""Records of runs as Parquet: a folder that grows with every run and is asked as one table, by day."""
+"""Records of runs as Parquet: a folder that grows with every run and is asked as one table, by
+day.
+"""
 
 from __future__ import annotations
 
@@ -23,9 +25,11 @@ if TYPE_CHECKING:
 
 SCHEMA = "stereo_ore/parquet/2"
 NO_DAY = "undated"
-"""Folder of frames without a stamp. No folder is named key=value: readers disagree on the type of such a date."""
+"""Folder of frames without a stamp. No folder is named key=value: readers disagree on the type of
+such a date."""
 EARLIER = "date=*"
-"""Folders of version 1, whose date was in their names only: pandas can't read them when a date is missing."""
+"""Folders of version 1, whose date was in their names only: pandas can't read them when a date is
+missing."""
 
 COUNTS = ("pixels", "disparities", "points", "voxels", "kept", "ores", "targets")
 UNITS = {"_m": "m", "_m3": "m³", "_deg": "degree"}
@@ -48,7 +52,9 @@ TABLES = {
     "ores": {
         **_KEYS,
         **{name: _ORE_TYPES.get(name, "float64") for name in FIELDS if name != "frame"},
-        **dict.fromkeys(("volume_low_m3", "volume_high_m3", "strike_flatness_m", "strike_score"), "float64"),
+        **dict.fromkeys(
+            ("volume_low_m3", "volume_high_m3", "strike_flatness_m", "strike_score"), "float64"
+        ),
     },
     "frames": {
         **_KEYS,
@@ -64,10 +70,12 @@ TABLES = {
 
 
 def write_parquet(results: Results, folder: Path, camera: str | None = None) -> Path:
-    """Add a run to `folder`: ``ores/YYYY-MM-DD/RUN.parquet`` and ``frames/…``; the path of the former.
+    """Add a run to `folder`: ``ores/YYYY-MM-DD/RUN.parquet`` and ``frames/…``; the path of the
+    former.
 
-    RUN is made from the run's parameters and the SHA-256 of its first frame, so a run that is added again, perhaps
-    with more frames, takes its own place. `camera` tells cameras apart; without it the calibration's name does.
+    RUN is made from the run's parameters and the SHA-256 of its first frame, so a run that is added
+    again, perhaps with more frames, takes its own place. `camera` tells cameras apart; without it
+    the calibration's name does.
 
     Raises
     ------
@@ -83,7 +91,9 @@ def write_parquet(results: Results, folder: Path, camera: str | None = None) -> 
     if old := next((path for table in TABLES for path in (folder / table).glob(EARLIER)), None):
         remedy = "Export every run again, into a new folder"
         raise OutputError(
-            "is of an earlier version; new tables beside it can't be read as one", file=old, remedy=remedy
+            "is of an earlier version; new tables beside it can't be read as one",
+            file=old,
+            remedy=remedy,
         )
     run, label, records = run_id(results), camera or results.camera or "", results.each_record()
     with _files(folder, run) as files:
@@ -109,7 +119,12 @@ def _rows(records: Iterable[Json], labels: Json) -> dict[Place, list[Json]]:
         stamp = record["stamp_ns"]
         date = None if stamp is None else datetime.fromtimestamp(stamp // 10**9, UTC).date()
         day = date.isoformat() if date else NO_DAY
-        keys = labels | {"frame": record["frame"], "index": record["index"], "stamp_utc": stamp, "date": date}
+        keys = labels | {
+            "frame": record["frame"],
+            "index": record["index"],
+            "stamp_utc": stamp,
+            "date": date,
+        }
         found["frames", day].append(keys | _frame_row(record))
         # A day without ores has its empty table too: it was looked at.
         found["ores", day] += [keys | _ore_row(record, ore) for ore in record["ores"]]
@@ -121,7 +136,10 @@ def _frame_row(record: Json) -> Json:
     row |= {name: record["counts"][name] for name in COUNTS}
     if grizzly := record["grizzly"]:
         row |= {f"grizzly_{key}": grizzly[key] for key in ("source", "offset_m", "rms_m")}
-        row |= {f"grizzly_normal_{axis}": value for axis, value in zip("xyz", grizzly["normal"], strict=True)}
+        row |= {
+            f"grizzly_normal_{axis}": value
+            for axis, value in zip("xyz", grizzly["normal"], strict=True)
+        }
     return row
 
 
@@ -134,7 +152,9 @@ def _ore_row(record: Json, ore: Json) -> Json:
 
 
 class _Files:
-    """The files of one run, written under temporary names that no reader of the folder takes for data."""
+    """The files of one run, written under temporary names that no reader of the folder takes for
+    data.
+    """
 
     def __init__(self, folder: Path, run: str) -> None:
         self.folder, self.run = folder, run
@@ -148,7 +168,12 @@ class _Files:
         path = self.folder / table / day / f"{self.run}.parquet"
         if path not in self.writers:
             make_folder(path.parent)
-            guarded(path, lambda: self.writers.update({path: parquet.ParquetWriter(_part(path), schema, **OPTIONS)}))
+            guarded(
+                path,
+                lambda: self.writers.update(
+                    {path: parquet.ParquetWriter(_part(path), schema, **OPTIONS)}
+                ),
+            )
         guarded(path, lambda: self.writers[path].write_table(pa.Table.from_pylist(rows, schema)))
 
     def close(self) -> None:
@@ -156,11 +181,15 @@ class _Files:
             guarded(path, writer.close)
 
     def keep(self) -> None:
-        """Give the files their names, and take away what an earlier export of the run had beside them."""
+        """Give the files their names, and take away what an earlier export of the run had beside
+        them.
+        """
         for path in self.writers:
             guarded(path, lambda path=path: os.replace(_part(path), path))  # type: ignore[misc]
         for table in TABLES:
-            for old in set((self.folder / table).glob(f"*/{self.run}.parquet")) - self.writers.keys():
+            for old in (
+                set((self.folder / table).glob(f"*/{self.run}.parquet")) - self.writers.keys()
+            ):
                 guarded(old, old.unlink)
 
     def drop(self) -> None:
@@ -195,7 +224,9 @@ def schema_of(table: str) -> pa.Schema:
 
     types = {"list<string>": pa.list_(pa.string()), "timestamp[ns]": pa.timestamp("ns")}
     fields = [
-        pa.field(name, types[kind] if kind in types else pa.type_for_alias(kind), metadata=_unit(name))
+        pa.field(
+            name, types[kind] if kind in types else pa.type_for_alias(kind), metadata=_unit(name)
+        )
         for name, kind in TABLES[table].items()
     ]
     return pa.schema(fields, metadata={"schema": SCHEMA, "table": table})

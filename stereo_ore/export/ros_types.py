@@ -1,4 +1,6 @@
-"""Message definitions that rosbags does not ship: vision_msgs 4, as ROS 2 Humble and later publish it."""
+"""Message definitions that rosbags does not ship: vision_msgs 4, as ROS 2 Humble and later publish
+it.
+"""
 
 from __future__ import annotations
 
@@ -12,5 +14,7 @@ VISION_MSGS = {
         "std_msgs/Header header\nvision_msgs/ObjectHypothesisWithPose[] results\n"
         "vision_msgs/BoundingBox3D bbox\nstring id\n"
     ),
-    "vision_msgs/msg/Detection3DArray": "std_msgs/Header header\nvision_msgs/Detection3D[] detections\n",
+    "vision_msgs/msg/Detection3DArray": (
+        "std_msgs/Header header\nvision_msgs/Detection3D[] detections\n"
+    ),
 }

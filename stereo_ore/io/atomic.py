@@ -18,7 +18,9 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 
 def write_lines(path: Path, lines: Iterable[str]) -> None:
-    """Write UTF-8 lines, ends included, as `path` in one step, without holding them all in memory."""
+    """Write UTF-8 lines, ends included, as `path` in one step, without holding them all in
+    memory.
+    """
 
     def write(temporary: Path) -> None:
         with temporary.open("w", encoding="utf-8", newline="") as file:
@@ -33,7 +35,8 @@ def in_one_step(path: Path, write: Callable[[Path], object]) -> None:
     Raises
     ------
     OutputError
-        When the folder is not writable or the disk is full; nothing is then left under the final name.
+        When the folder is not writable or the disk is full; nothing is then left under the final
+        name.
     """
     # A name of its own: a worker that was given up for lost may still write the same file.
     temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.tmp")
@@ -47,7 +50,9 @@ def in_one_step(path: Path, write: Callable[[Path], object]) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write UTF-8 text as `path` in one step; what names of files have that is no UTF-8 becomes escapes."""
+    """Write UTF-8 text as `path` in one step; what names of files have that is no UTF-8 becomes
+    escapes.
+    """
     write_bytes(path, text.encode(errors="backslashreplace"))
 
 

@@ -1,4 +1,6 @@
-"""Strict NumPy files: no pickled objects, nothing allocated that the file does not hold, one error for all damage."""
+"""Strict NumPy files: no pickled objects, nothing allocated that the file does not hold, one error
+for all damage.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,8 @@ import numpy.typing as npt
 from stereo_ore.errors import StereoOreError
 
 MAX_UNPACKED_BYTES = 4_000_000_000
-"""A compressed file may unpack to so many; it is read only after its own table of contents says less."""
+"""A compressed file may unpack to so many; it is read only after its own table of contents says
+less."""
 
 LARGEST_SHOWN = 10**30
 """Python refuses to write numbers of thousands of digits."""
@@ -38,23 +41,32 @@ def load_arrays(path: Path, error: type[StereoOreError]) -> dict[str, Array]:
         arrays = {}
         for entry in entries:
             with archive.open(entry) as file:
-                arrays[entry.filename.removesuffix(".npy")] = _array(cast(BinaryIO, file), entry.file_size, path, error)
+                arrays[entry.filename.removesuffix(".npy")] = _array(
+                    cast(BinaryIO, file), entry.file_size, path, error
+                )
         return arrays
 
 
 def _array(file: BinaryIO, size: int, path: Path, error: type[StereoOreError]) -> Array:
     """One array, after its header was found to fit the bytes that are there."""
     version = np.lib.format.read_magic(file)
-    read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+    read_header = {
+        (1, 0): np.lib.format.read_array_header_1_0,
+        (2, 0): np.lib.format.read_array_header_2_0,
+    }
     if version not in read_header:
         raise error(f"has NPY version {version}; 1.0 and 2.0 can be read", file=path)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of old spellings in the header
         shape, fortran, dtype = read_header[version](file)
     if dtype.hasobject:
-        raise error("holds Python objects, which are never loaded", file=path, remedy="Save plain numbers")
+        raise error(
+            "holds Python objects, which are never loaded", file=path, remedy="Save plain numbers"
+        )
     if min(shape, default=0) < 0:
-        raise error(f"claims the shape {shape}", file=path, remedy="The file is damaged; export it again")
+        raise error(
+            f"claims the shape {shape}", file=path, remedy="The file is damaged; export it again"
+        )
     claimed = math.prod(shape) * dtype.itemsize
     _require(claimed, size, path, error)
     return np.frombuffer(file.read(claimed), dtype).reshape(shape, order="F" if fortran else "C")
@@ -62,7 +74,10 @@ def _array(file: BinaryIO, size: int, path: Path, error: type[StereoOreError]) -
 
 def _require(claimed: int, available: int, path: Path, error: type[StereoOreError]) -> None:
     if claimed > available:
-        problem = f"the header claims arrays of {min(claimed, LARGEST_SHOWN):,} bytes; {available:,} can be there"
+        problem = (
+            f"the header claims arrays of {min(claimed, LARGEST_SHOWN):,} bytes; {available:,} can"
+            " be there"
+        )
         raise error(problem, file=path, remedy="The file is cut off or damaged; export it again")
 
 

@@ -52,7 +52,11 @@ def ore_row(frame: Json, ore: Json) -> Json:
     """The values of `FIELDS` that an ore of a record has; reasons are a list of codes."""
     rank = frame["targets"].index(ore["id"]) + 1 if ore["id"] in frame["targets"] else None
     row = {key: ore[key] for key in ("id", "oversize", "cut", "volume_m3", "points", "pixels")}
-    row |= {"frame": frame["frame"], "target_rank": rank, "reasons": [r["code"] for r in ore["reasons"]]}
+    row |= {
+        "frame": frame["frame"],
+        "target_rank": rank,
+        "reasons": [r["code"] for r in ore["reasons"]],
+    }
     centre = ore["centre_of_gravity"] or {}
     for name, values in (
         ("camera", centre.get("camera")),
@@ -60,7 +64,13 @@ def ore_row(frame: Json, ore: Json) -> Json:
         ("sigma", centre.get("sigma_m")),
     ):
         row |= _vector(f"cog_{name}", "_m", values)
-    row |= dict(zip(("size_longest_m", "size_middle_m", "size_shortest_m"), ore["size_m"] or (), strict=False))
+    row |= dict(
+        zip(
+            ("size_longest_m", "size_middle_m", "size_shortest_m"),
+            ore["size_m"] or (),
+            strict=False,
+        )
+    )
     if strike := ore["strike"]:
         row["slope_deg"] = strike["slope_deg"]
         for name in ("camera", "arm"):
@@ -70,4 +80,6 @@ def ore_row(frame: Json, ore: Json) -> Json:
 
 
 def _vector(prefix: str, suffix: str, values: list[float] | None) -> dict[str, float]:
-    return {f"{prefix}_{axis}{suffix}": value for axis, value in zip("xyz", values or (), strict=False)}
+    return {
+        f"{prefix}_{axis}{suffix}": value for axis, value in zip("xyz", values or (), strict=False)
+    }

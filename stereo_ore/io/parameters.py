@@ -21,7 +21,8 @@ def load_config(path: Path | None = None, settings: Sequence[str] = ()) -> Confi
     Raises
     ------
     ConfigError
-        Naming every fault of the file at once: key, value, what is allowed, and the nearest valid key.
+        Naming every fault of the file at once: key, value, what is allowed, and the nearest valid
+        key.
     """
     data: dict[str, Any] = load_yaml(path, ConfigError) if path else {}
     for setting in settings:
@@ -43,7 +44,9 @@ def _apply_setting(data: dict[str, Any], setting: str) -> None:
 
 
 def dump_config(config: Config, comments: bool = False) -> str:
-    """YAML text that `load_config` reads back to the same configuration; comments give meaning, unit and range."""
+    """YAML text that `load_config` reads back to the same configuration; comments give meaning,
+    unit and range.
+    """
     if not comments:
         return yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False, allow_unicode=True)
     lines: list[str] = []
@@ -53,7 +56,11 @@ def dump_config(config: Config, comments: bool = False) -> str:
         values = section.model_dump(mode="json")
         lines += [f"# {field.description or doc}", f"{name}:" if values else f"{name}: {{}}"]
         for key, value in values.items():
-            text = yaml.safe_dump(value, default_flow_style=True, allow_unicode=True).removesuffix("...\n").strip()
+            text = (
+                yaml.safe_dump(value, default_flow_style=True, allow_unicode=True)
+                .removesuffix("...\n")
+                .strip()
+            )
             lines.append(f"  {key}: {text}  # {_comment(type(section), key)}")
     return "\n".join(lines) + "\n"
 

@@ -1,6 +1,8 @@
-"""Whether a JSON value is a record, by the JSON Schema that ships with the package: read is only what was written.
+"""Whether a JSON value is a record, by the JSON Schema that ships with the package: read is only
+what was written.
 
-The schema is turned into nested functions once; a record of ten ores then takes a fraction of a millisecond.
+The schema is turned into nested functions once; a record of ten ores then takes a fraction of a
+millisecond.
 """
 
 from __future__ import annotations
@@ -67,12 +69,16 @@ def _compile(schema: Mapping[str, Any], definitions: Mapping[str, Any]) -> Check
     return check
 
 
-def _simple(holds: Callable[[Any, Any], bool], keyword: str) -> Callable[[Mapping[str, Any], Any], Check]:
+def _simple(
+    holds: Callable[[Any, Any], bool], keyword: str
+) -> Callable[[Mapping[str, Any], Any], Check]:
     """Maker of the check of a keyword that looks at the value alone."""
 
     def make(schema: Mapping[str, Any], _: Mapping[str, Any]) -> Check:
         limit = schema[keyword]
-        return lambda value: None if holds(value, limit) else f": {keyword} {limit!r:.80} does not hold"
+        return lambda value: (
+            None if holds(value, limit) else f": {keyword} {limit!r:.80} does not hold"
+        )
 
     return make
 
@@ -131,4 +137,5 @@ KEYWORDS: Mapping[str, Callable[[Mapping[str, Any], Mapping[str, Any]], Check]] 
     "uniqueItems": _simple(lambda value, _: len(set(value)) == len(value), "uniqueItems"),
     "properties": _properties,
 }
-"""Keywords of JSON Schema that the records' schema uses, in the order in which they can be relied on."""
+"""Keywords of JSON Schema that the records' schema uses, in the order in which they can be relied
+on."""

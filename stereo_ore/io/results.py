@@ -1,4 +1,6 @@
-"""The folder that a run has written, read back: records, timings, clouds, overlays, stages, inputs."""
+"""The folder that a run has written, read back: records, timings, clouds, overlays, stages,
+inputs.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,14 @@ from stereo_ore.types import Rig, Site
 
 Json = dict[str, Any]
 CLOUD_COLUMNS = ("x", "y", "z", "red", "green", "blue", "ore_id", "score")
-STAGE_KINDS = {"disparity": "f", "voxel_xyz": "f", "keep": "b", "score": "f", "ore_id": "i", "ore_map": "i"}
+STAGE_KINDS = {
+    "disparity": "f",
+    "voxel_xyz": "f",
+    "keep": "b",
+    "score": "f",
+    "ore_id": "i",
+    "ore_map": "i",
+}
 """Arrays of a frame's stages, and their kinds of NumPy types."""
 HALF_PAIR = re.compile(r"\\u[dD][89a-fA-F]")
 """Beginning or end of a surrogate pair in JSON."""
@@ -34,7 +43,9 @@ HALF_PAIR = re.compile(r"\\u[dD][89a-fA-F]")
 
 @dataclass(frozen=True)
 class Results:
-    """A run's folder; an unfinished run is read as far as it goes, and what a frame does not have is None."""
+    """A run's folder; an unfinished run is read as far as it goes, and what a frame does not have
+    is None.
+    """
 
     folder: Path
 
@@ -53,7 +64,9 @@ class Results:
         """
         file = self._lines("frames")
         if file is None:
-            raise SourceError("holds no frames.jsonl", file=self.folder, remedy="Name the --out folder of a run")
+            raise SourceError(
+                "holds no frames.jsonl", file=self.folder, remedy="Name the --out folder of a run"
+            )
         for number, record in enumerate(_objects(file), 1):
             yield _checked(record, file, number)
 
@@ -66,7 +79,9 @@ class Results:
     def timings(self) -> Mapping[str, Json]:
         """Milliseconds of each frame's stages, by the frame's name."""
         file = self._lines("timings")
-        return {entry["frame"]: entry for entry in _objects(file) if _is_timing(entry)} if file else {}
+        return (
+            {entry["frame"]: entry for entry in _objects(file) if _is_timing(entry)} if file else {}
+        )
 
     @cached_property
     def run(self) -> Json:
@@ -131,15 +146,21 @@ class Results:
             return None
         arrays = load_arrays(file, SourceError)
         if not _are_stages(arrays):
-            raise SourceError("holds other arrays than a run's stages", file=file, remedy="Repeat the run")
+            raise SourceError(
+                "holds other arrays than a run's stages", file=file, remedy="Repeat the run"
+            )
         return arrays
 
     def _object(self, name: str) -> Json | None:
         file = _existing(self.folder / name)
-        return _object(file.read_text(encoding="utf-8", errors="replace"), file, 1) if file else None
+        return (
+            _object(file.read_text(encoding="utf-8", errors="replace"), file, 1) if file else None
+        )
 
     def _lines(self, name: str) -> Path | None:
-        return _existing(self.folder / f"{name}.jsonl") or _existing(self.folder / f"{name}.jsonl.part")
+        return _existing(self.folder / f"{name}.jsonl") or _existing(
+            self.folder / f"{name}.jsonl.part"
+        )
 
 
 def parse_record(text: str, file: Path, number: int) -> Json:
@@ -162,16 +183,22 @@ def _finite(text: str) -> float:
 
 def _checked(record: Json, file: Path, number: int) -> Json:
     if record.get("schema") not in SCHEMAS:
-        raise SourceError(f"line {number} is no record of {SCHEMA}", file=file, remedy="Repeat the run")
+        raise SourceError(
+            f"line {number} is no record of {SCHEMA}", file=file, remedy="Repeat the run"
+        )
     if fault := record_fault(record):
-        raise SourceError(f"line {number} is no record: {fault}", file=file, remedy="Repeat the run")
+        raise SourceError(
+            f"line {number} is no record: {fault}", file=file, remedy="Repeat the run"
+        )
     return record
 
 
 def _is_timing(entry: Json) -> bool:
     stages, total = entry.get("stages_ms"), entry.get("total_ms")
     values = [total, *stages.values()] if isinstance(stages, dict) else [None]
-    return isinstance(entry.get("frame"), str) and all(isinstance(value, int | float) for value in values)
+    return isinstance(entry.get("frame"), str) and all(
+        isinstance(value, int | float) for value in values
+    )
 
 
 def _are_stages(arrays: Mapping[str, npt.NDArray[Any]]) -> bool:
@@ -201,7 +228,8 @@ def _object(text: str, file: Path, number: int) -> Json:
     try:
         value = json.loads(text, parse_float=_finite, parse_constant=_finite)
         if HALF_PAIR.search(text):
-            # Names that are no UTF-8 are halves of surrogate pairs in JSON; no table could hold them.
+            # Names that are no UTF-8 are halves of surrogate pairs in JSON; no table could hold
+            # them.
             value = json.loads(json.dumps(value, ensure_ascii=False).encode(errors="replace"))
     except (ValueError, RecursionError):
         value = None

@@ -91,8 +91,9 @@ def load_site(path: str | Path) -> Site:
     Raises
     ------
     ConfigError
-        With all faults of the file at once: unknown keys with the nearest valid one, a transform that is
-        none, a box that is empty or behind the camera, a plane behind the camera or away from the box.
+        With all faults of the file at once: unknown keys with the nearest valid one, a transform
+        that is none, a box that is empty or behind the camera, a plane behind the camera or away
+        from the box.
     """
     path = Path(path)
     file = validate(_File, load_yaml(path, ConfigError), path, ConfigError)
@@ -101,25 +102,36 @@ def load_site(path: str | Path) -> Site:
     faults = faults or _view_faults(site)
     if faults or site is None:
         raise ConfigError(
-            faults[0] if len(faults) == 1 else f"{len(faults)} faults:\n  " + "\n  ".join(faults), file=path
+            faults[0] if len(faults) == 1 else f"{len(faults)} faults:\n  " + "\n  ".join(faults),
+            file=path,
         )
     if file.tool_from_camera is not None and file.arm_from_camera is None:
-        log.warning("%s: the camera is on the tool and moves with the arm: no arm coordinates", path)
+        log.warning(
+            "%s: the camera is on the tool and moves with the arm: no arm coordinates", path
+        )
     return site
 
 
 def _faults(file: _File) -> list[str]:
     """What is wrong with single entries."""
     found = []
-    for name, rows in (("arm_from_camera", file.arm_from_camera), ("tool_from_camera", file.tool_from_camera)):
+    for name, rows in (
+        ("arm_from_camera", file.arm_from_camera),
+        ("tool_from_camera", file.tool_from_camera),
+    ):
         found += [] if rows is None else _transform_faults(name, np.array(rows))
     found += _length_faults(file)
     for name, box in (("working_volume", file.working_volume), ("reach", file.reach)):
         if box and not all(low < high for low, high in zip(box.min_m, box.max_m, strict=True)):
-            found.append(f"{name}: each of min_m {list(box.min_m)} must be less than max_m {list(box.max_m)}")
+            found.append(
+                f"{name}: each of min_m {list(box.min_m)} must be less than max_m {list(box.max_m)}"
+            )
     if file.grizzly.plane and not any(file.grizzly.plane.normal):
         found.append("grizzly.plane.normal: must not be zero")
-    for name, part in (("working_volume", file.working_volume), ("grizzly.plane", file.grizzly.plane)):
+    for name, part in (
+        ("working_volume", file.working_volume),
+        ("grizzly.plane", file.grizzly.plane),
+    ):
         if part and part.frame == "arm" and file.arm_from_camera is None:
             found.append(f"{name}: is in the arm frame, but arm_from_camera is not given")
     return found
@@ -142,7 +154,10 @@ def _length_faults(file: _File) -> list[str]:
         if box
         for end in ("min_m", "max_m")
     ]
-    for name, rows in (("arm_from_camera", file.arm_from_camera), ("tool_from_camera", file.tool_from_camera)):
+    for name, rows in (
+        ("arm_from_camera", file.arm_from_camera),
+        ("tool_from_camera", file.tool_from_camera),
+    ):
         lengths += [] if rows is None else [(name, [row[3] for row in rows[:3]], 0.0, FARTHEST_M)]
     grizzly = file.grizzly
     if grizzly.plane and any(grizzly.plane.normal):
@@ -168,7 +183,9 @@ def _length_fault(key: str, values: Sequence[float], least: float, greatest: flo
     shown = list(values) if len(values) > 1 else values[0]
     if size < least:
         return f"{key}: {shown} m is less than {least:g} m; is it in metres?"
-    return f"{key}: {shown} m is more than {greatest:g} m; millimetres (centimetres) given for metres?"
+    return (
+        f"{key}: {shown} m is more than {greatest:g} m; millimetres (centimetres) given for metres?"
+    )
 
 
 def _site(file: _File, path: Path) -> Site:
@@ -176,7 +193,9 @@ def _site(file: _File, path: Path) -> Site:
     grizzly, box, reach = file.grizzly, file.working_volume, file.reach
     return Site(
         T_arm_camera=T_arm_camera,
-        volume=None if box is None else Volume(_to(box.frame, T_arm_camera), np.array(box.min_m), np.array(box.max_m)),
+        volume=None
+        if box is None
+        else Volume(_to(box.frame, T_arm_camera), np.array(box.min_m), np.array(box.max_m)),
         plane=None if grizzly.plane is None else _camera_plane(grizzly.plane, T_arm_camera),
         opening_m=grizzly.opening_m,
         bar_width_m=grizzly.bar_width_m,
@@ -215,13 +234,19 @@ def _view_faults(site: Site | None) -> list[str]:
     if site is None:
         return found
     if site.plane is not None and site.plane.normal[2] >= 0:
-        found.append("grizzly.plane: lies behind the camera; check the sign of offset_m, and arm_from_camera")
+        found.append(
+            "grizzly.plane: lies behind the camera; check the sign of offset_m, and arm_from_camera"
+        )
     if site.volume is not None:
         corners = site.volume.corners
         if corners[:, 2].max() <= 0:
-            found.append("working_volume: lies behind the camera; check arm_from_camera and the frame")
+            found.append(
+                "working_volume: lies behind the camera; check arm_from_camera and the frame"
+            )
         elif site.plane is not None and site.plane.height(corners).max() < 0:
-            found.append("working_volume: lies below the plane of the bar tops; check grizzly.plane")
+            found.append(
+                "working_volume: lies below the plane of the bar tops; check grizzly.plane"
+            )
     return found
 
 
@@ -240,7 +265,9 @@ def save_site(site: Site, path: str | Path, hand_eye: HandEyeRecord | None = Non
     if site.T_arm_camera is not None:
         document["arm_from_camera"] = site.T_arm_camera.tolist()
     if site.volume is not None:
-        document["working_volume"] = {"frame": _frame_of(site)} | _box(site.volume.min_m, site.volume.max_m)
+        document["working_volume"] = {"frame": _frame_of(site)} | _box(
+            site.volume.min_m, site.volume.max_m
+        )
     document["grizzly"] = _grizzly(site)
     if site.background is not None:
         document["background"] = _relative(site.background, path.parent)
@@ -248,7 +275,10 @@ def save_site(site: Site, path: str | Path, hand_eye: HandEyeRecord | None = Non
         document["reach"] = _box(site.reach_min_m, site.reach_max_m)
     if hand_eye is not None:
         document["hand_eye"] = hand_eye.model_dump(mode="json")
-    path.write_text(yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=120), encoding="utf-8")
+    path.write_text(
+        yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=120),
+        encoding="utf-8",
+    )
 
 
 def save_arm(
@@ -260,9 +290,9 @@ def save_arm(
 ) -> None:
     """Write a site file with a new `arm_from_camera`; the rest is that of `base`, or unknown.
 
-    What `base` gives in the arm frame stays where it is in the arm frame. Of a camera on the tool (`mount`), the
-    transform is ``T_tool_camera``, which moves with the arm: it is kept under `tool_from_camera`, and the site has no
-    `arm_from_camera`.
+    What `base` gives in the arm frame stays where it is in the arm frame. Of a camera on the tool
+    (`mount`), the transform is ``T_tool_camera``, which moves with the arm: it is kept under
+    `tool_from_camera`, and the site has no `arm_from_camera`.
 
     Raises
     ------
@@ -280,8 +310,15 @@ def save_arm(
     document |= {key: T_arm_camera.tolist(), "hand_eye": hand_eye.model_dump(mode="json")}
     file = validate(_File, document, path, ConfigError)
     if faults := _faults(file) or _view_faults(_site(file, path)):
-        raise ConfigError("; ".join(faults), file=base, remedy="Was the calibration made with this arm and camera?")
-    path.write_text(yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=120), encoding="utf-8")
+        raise ConfigError(
+            "; ".join(faults),
+            file=base,
+            remedy="Was the calibration made with this arm and camera?",
+        )
+    path.write_text(
+        yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=120),
+        encoding="utf-8",
+    )
 
 
 def _grizzly(site: Site) -> dict[str, Any]:
@@ -289,7 +326,9 @@ def _grizzly(site: Site) -> dict[str, Any]:
     section: dict[str, Any] = {key: value for key, value in sizes.items() if value is not None}
     plane = site.plane
     section["plane"] = (
-        "auto" if plane is None else {"frame": "camera", "normal": plane.normal.tolist(), "offset_m": plane.offset}
+        "auto"
+        if plane is None
+        else {"frame": "camera", "normal": plane.normal.tolist(), "offset_m": plane.offset}
     )
     return section
 
@@ -310,4 +349,6 @@ def _frame_of(site: Site) -> Frame:
         return "camera"
     if site.T_arm_camera is not None and np.array_equal(T, site.T_arm_camera):
         return "arm"
-    raise ConfigError("the working volume is a box of neither the camera nor the arm frame", key="working_volume")
+    raise ConfigError(
+        "the working volume is a box of neither the camera nor the arm frame", key="working_volume"
+    )

@@ -1,4 +1,5 @@
-"""How good a result is: filter quality (equation 7), disparity errors, matched lumps, errors of solids and strikes.
+"""How good a result is: filter quality (equation 7), disparity errors, matched lumps, errors of
+solids and strikes.
 
 Pure functions of results and truth; `evaluate` applies them to run folders.
 """
@@ -20,7 +21,8 @@ NEAR_PX, NEAR_DISPARITY_PX = 2, 1.0
 
 @dataclass(frozen=True)
 class FilterQuality:
-    """Equation 7, positive = noise: P_r = TP/(TP+FP), Recall = TP/(TP+FN), Retain = TN/(TN+FP), all 0…1.
+    """Equation 7, positive = noise: P_r = TP/(TP+FP), Recall = TP/(TP+FN), Retain = TN/(TN+FP), all
+    0…1.
 
     An empty denominator counts as one point, so that the figures are always numbers.
     """
@@ -46,11 +48,13 @@ def filter_quality(is_noise: Mask, removed: Mask) -> FilterQuality:
     return FilterQuality(precision, recall, tn / max(tn + fp, 1), f1)
 
 
-def is_noise(xyz: npt.NDArray[np.floating[Any]], true_disparity: F64, K: F64, focal_baseline: float) -> Mask:
+def is_noise(
+    xyz: npt.NDArray[np.floating[Any]], true_disparity: F64, K: F64, focal_baseline: float
+) -> Mask:
     """True for points (N, 3) [m, rectified left camera] with no true surface near them.
 
-    Near means: some pixel at most `NEAR_PX` away from the point's projection, in either direction, whose true
-    disparity differs from the point's by at most `NEAR_DISPARITY_PX`.
+    Near means: some pixel at most `NEAR_PX` away from the point's projection, in either direction,
+    whose true disparity differs from the point's by at most `NEAR_DISPARITY_PX`.
 
     Parameters
     ----------
@@ -78,7 +82,9 @@ def is_noise(xyz: npt.NDArray[np.floating[Any]], true_disparity: F64, K: F64, fo
 
 @dataclass(frozen=True)
 class DisparityQuality:
-    """Share of pixels with a disparity, share missing or wrong by more than 1 px, median absolute error [px]."""
+    """Share of pixels with a disparity, share missing or wrong by more than 1 px, median absolute
+    error [px].
+    """
 
     valid: float
     bad1: float
@@ -86,7 +92,9 @@ class DisparityQuality:
 
 
 def disparity_quality(disparity: F32, true_disparity: F64, where: Mask) -> DisparityQuality:
-    """Errors of a disparity map (H, W), NaN = none, over the pixels of a mask; NaN where the mask is empty."""
+    """Errors of a disparity map (H, W), NaN = none, over the pixels of a mask; NaN where the mask
+    is empty.
+    """
     error = np.abs(disparity - true_disparity)[where]
     finite = error[np.isfinite(error)]
     if not len(error):
@@ -101,7 +109,9 @@ def iou_matrix(
     truth_ids: Sequence[int],
     found_ids: Sequence[int],
 ) -> F64:
-    """Intersection over union of every true (rows) with every found label (columns) of two (H, W) maps."""
+    """Intersection over union of every true (rows) with every found label (columns) of two (H, W)
+    maps.
+    """
     rows, columns = (
         np.searchsorted(ids, labels.ravel()) if len(ids) else np.zeros(labels.size, int)
         for ids, labels in ((np.array(truth_ids), truth), (np.array(found_ids), found))
@@ -110,7 +120,9 @@ def iou_matrix(
     column_hit = np.isin(found.ravel(), found_ids)
     both = row_hit & column_hit
     shape = (len(truth_ids), len(found_ids))
-    common = np.bincount(rows[both] * shape[1] + columns[both], minlength=shape[0] * shape[1]).reshape(shape)
+    common = np.bincount(
+        rows[both] * shape[1] + columns[both], minlength=shape[0] * shape[1]
+    ).reshape(shape)
     areas = np.bincount(rows[row_hit], minlength=shape[0])[:, None]
     found_areas = np.bincount(columns[column_hit], minlength=shape[1])[None]
     return np.asarray(common / np.maximum(areas + found_areas - common, 1))
@@ -125,15 +137,21 @@ def best_pairs(iou: F64) -> list[tuple[int, int]]:
 
 
 def split_along(vector: F64, normal: F64) -> tuple[float, float]:
-    """Length of a vector in the plane of a unit normal, and its absolute length along the normal."""
+    """Length of a vector in the plane of a unit normal, and its absolute length along the
+    normal.
+    """
     along = float(vector @ normal)
     return float(np.linalg.norm(vector - along * normal)), abs(along)
 
 
-def surface_distance_and_angle(point: F64, direction: F64, surface: F64, neighbours: int = 200) -> tuple[float, float]:
-    """Distance [m] of a strike from the nearest true surface point, and angle [rad] to the inward normal.
+def surface_distance_and_angle(
+    point: F64, direction: F64, surface: F64, neighbours: int = 200
+) -> tuple[float, float]:
+    """Distance [m] of a strike from the nearest true surface point, and angle [rad] to the inward
+    normal.
 
-    The normal is that of the plane fitted to the nearest `neighbours` of the surface points (N, 3), camera frame.
+    The normal is that of the plane fitted to the nearest `neighbours` of the surface points (N, 3),
+    camera frame.
     """
     distance = np.linalg.norm(surface - point, axis=1)
     near = surface[np.argsort(distance)[:neighbours]]
@@ -143,7 +161,9 @@ def surface_distance_and_angle(point: F64, direction: F64, surface: F64, neighbo
 
 
 def area_under_roc(score: npt.NDArray[np.floating[Any]], positive: Mask) -> float | None:
-    """Chance that a positive one of (N,) scores above a negative one, ties counting half; None where one kind lacks."""
+    """Chance that a positive one of (N,) scores above a negative one, ties counting half; None
+    where one kind lacks.
+    """
     values, rank, count = np.unique(score, return_inverse=True, return_counts=True)
     hits = np.bincount(rank, positive, len(values))
     misses = count - hits
@@ -152,10 +172,16 @@ def area_under_roc(score: npt.NDArray[np.floating[Any]], positive: Mask) -> floa
     return float((hits * below).sum()) / pairs if pairs else None
 
 
-def reliability(said: npt.NDArray[np.floating[Any]], true: Mask) -> tuple[list[float | None], list[float | None]]:
-    """Mean probability said, and share that is true, of (N,) in each tenth of the probability; None in empty ones."""
+def reliability(
+    said: npt.NDArray[np.floating[Any]], true: Mask
+) -> tuple[list[float | None], list[float | None]]:
+    """Mean probability said, and share that is true, of (N,) in each tenth of the probability; None
+    in empty ones.
+    """
     tenth = np.minimum((10 * said).astype(int), 9)
     count = np.bincount(tenth, minlength=10)
     means = (np.bincount(tenth, x, 10) / np.maximum(count, 1) for x in (said, true))
-    first, second = ([float(x) if n else None for x, n in zip(mean, count, strict=True)] for mean in means)
+    first, second = (
+        [float(x) if n else None for x, n in zip(mean, count, strict=True)] for mean in means
+    )
     return first, second

@@ -33,7 +33,9 @@ SPACES: Mapping[str, Mapping[str, tuple[Any, ...]]] = {
 
 
 class CostWeights(StageConfig):
-    """What a loss costs: the cost is the weighted mean of 1 − P_r, 1 − Recall and 1 − Retain (equation 7)."""
+    """What a loss costs: the cost is the weighted mean of 1 − P_r, 1 − Recall and 1 − Retain
+    (equation 7).
+    """
 
     precision: float = param(1.0, "weight of good points among the removed", ge=0)
     recall: float = param(1.0, "weight of noise that stays", ge=0)
@@ -50,7 +52,9 @@ class CostWeights(StageConfig):
 
 @dataclass(frozen=True)
 class Tuned:
-    """The best parameters, their mean cost, and the cost along each parameter through the best point."""
+    """The best parameters, their mean cost, and the cost along each parameter through the best
+    point.
+    """
 
     method: str
     params: dict[str, Any]
@@ -63,9 +67,13 @@ class Tuned:
 
 
 def search(
-    method: str, clouds: Sequence[LabelledCloud], weights: CostWeights, tick: Callable[[], None] = lambda: None
+    method: str,
+    clouds: Sequence[LabelledCloud],
+    weights: CostWeights,
+    tick: Callable[[], None] = lambda: None,
 ) -> Tuned:
-    """Coordinate descent over the method's `SPACES`: each parameter in turn takes its best value, until none changes.
+    """Coordinate descent over the method's `SPACES`: each parameter in turn takes its best value,
+    until none changes.
 
     Parameters
     ----------
@@ -100,9 +108,14 @@ def search(
     return Tuned(method, best, cost(best), curves)
 
 
-def _mean_cost(method: str, params: dict[str, Any], clouds: Sequence[LabelledCloud], weights: CostWeights) -> float:
+def _mean_cost(
+    method: str, params: dict[str, Any], clouds: Sequence[LabelledCloud], weights: CostWeights
+) -> float:
     config = FilterConfig(method=method, params=params)
-    costs = [weights.cost(filter_quality(c.is_noise, ~filters.apply(c.voxels, config).keep)) for c in clouds]
+    costs = [
+        weights.cost(filter_quality(c.is_noise, ~filters.apply(c.voxels, config).keep))
+        for c in clouds
+    ]
     return sum(costs) / len(costs)
 
 

@@ -1,1 +1,3 @@
-"""Live operation: frames as they arrive, recorded first, then published; targets that expire by themselves."""
+"""Live operation: frames as they arrive, recorded first, then published; targets that expire by
+themselves.
+"""

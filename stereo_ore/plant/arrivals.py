@@ -1,4 +1,6 @@
-"""The frames in a folder that are not done yet, listed in a time that hardly grows with those that are."""
+"""The frames in a folder that are not done yet, listed in a time that hardly grows with those that
+are.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ from stereo_ore.io.recordings.side_by_side import SideBySideImages
 
 @dataclass(frozen=True)
 class Arrival:
-    """One frame with the files that are there so far: alone in `source`, and `paired` when no eye is missing."""
+    """One frame with the files that are there so far: alone in `source`, and `paired` when no eye
+    is missing.
+    """
 
     name: str
     source: Source
@@ -29,7 +33,8 @@ class Arrival:
 
 
 def arrivals(folder: Path, done: Container[str]) -> list[Arrival]:
-    """Frames of a folder in the natural order of their names, in the layouts that `sources.folder` knows.
+    """Frames of a folder in the natural order of their names, in the layouts that `sources.folder`
+    knows.
 
     Parameters
     ----------
@@ -41,16 +46,23 @@ def arrivals(folder: Path, done: Container[str]) -> list[Arrival]:
     listing = list_files(folder, IMAGE_SUFFIXES, done)
     eyes = find_eyes(listing, folder.resolve().name)
     found = [
-        _pair(folder, key, eyes.left.get(key), eyes.right.get(key)) for key in eyes.left.keys() | eyes.right.keys()
+        _pair(folder, key, eyes.left.get(key), eyes.right.get(key))
+        for key in eyes.left.keys() | eyes.right.keys()
     ]
     marked = {*eyes.left.values(), *eyes.right.values()}
-    found += [_single(folder, file) for file in listing[""] if file not in marked and file.is_file()]
+    found += [
+        _single(folder, file) for file in listing[""] if file not in marked and file.is_file()
+    ]
     return sorted(found, key=lambda arrival: natural_key(arrival.name))
 
 
 def _pair(folder: Path, key: str, left: Path | None, right: Path | None) -> Arrival:
     names = frame_names([key])
-    return Arrival(names[0], ImagePairs(folder, names, ((left, right),)), left is not None and right is not None)
+    return Arrival(
+        names[0],
+        ImagePairs(folder, names, ((left, right),)),
+        left is not None and right is not None,
+    )
 
 
 def _single(folder: Path, file: Path) -> Arrival:

@@ -1,4 +1,6 @@
-"""A UVC camera that delivers both eyes side by side, as the ZED 2 does: always the newest picture, no backlog."""
+"""A UVC camera that delivers both eyes side by side, as the ZED 2 does: always the newest picture,
+no backlog.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,9 @@ class Camera:
         For messages.
     """
 
-    def __init__(self, open_capture: Callable[[], Capture | None], name: str, *, retry_s: float = RETRY_S) -> None:
+    def __init__(
+        self, open_capture: Callable[[], Capture | None], name: str, *, retry_s: float = RETRY_S
+    ) -> None:
         self.name = name
         self._open, self._retry_s = open_capture, retry_s
         self._changed = threading.Condition()
@@ -105,7 +109,10 @@ def open_camera(number: int, image_size: tuple[int, int]) -> Camera:
 
     first = open_capture()
     if first is None:
-        raise SourceError(f"camera {number} can't be opened", remedy="Is it plugged in, and free? Try another number")
+        raise SourceError(
+            f"camera {number} can't be opened",
+            remedy="Is it plugged in, and free? Try another number",
+        )
     first.release()
     return Camera(open_capture, f"camera {number}")
 
@@ -115,6 +122,8 @@ def _frame(image: Image, taken_ns: int, index: int) -> LiveFrame:
 
     def read() -> StereoPair:
         left, right = to_8_bit(*split_in_two(image, Path(name)))
-        return StereoPair(left, right, name=name, index=index, stamp_ns=taken_ns, stamp_source="arrival")
+        return StereoPair(
+            left, right, name=name, index=index, stamp_ns=taken_ns, stamp_source="arrival"
+        )
 
     return LiveFrame(name, index, taken_ns, (), read)

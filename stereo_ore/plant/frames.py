@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -17,8 +18,8 @@ from stereo_ore.types import StereoPair
 class LiveFrame:
     """One frame that has arrived; `read` raises `FrameError` when it is not usable.
 
-    `arrived_ns` is the time of day; `seen_s` the same moment on the clock that nobody sets (`time.monotonic`), where
-    this program saw the frame arrive.
+    `arrived_ns` is the time of day; `seen_s` the same moment on the clock that nobody sets
+    (`time.monotonic`), where this program saw the frame arrive.
     """
 
     name: str
@@ -30,7 +31,9 @@ class LiveFrame:
 
     @property
     def age_s(self) -> float:
-        """Time since it arrived [s]; of a frame that was not seen to arrive negative when the clock was set back."""
+        """Time since it arrived [s]; of a frame that was not seen to arrive negative when the clock
+        was set back.
+        """
         if self.seen_s is not None:
             return time.monotonic() - self.seen_s
         return (time.time_ns() - self.arrived_ns) / 1e9
@@ -38,7 +41,9 @@ class LiveFrame:
 
 @dataclass(frozen=True)
 class Position:
-    """Where a run stands: the name of the last frame done (None: nothing yet) and the index of the next."""
+    """Where a run stands: the name of the last frame done (None: nothing yet) and the index of the
+    next.
+    """
 
     after: str | None = None
     index: int = 0
@@ -62,7 +67,9 @@ class LiveSource(Protocol):
 
 
 class Recording:
-    """A recording served as if its frames arrived when they are asked for; it ends after its last frame."""
+    """A recording served as if its frames arrived when they are asked for; it ends after its last
+    frame.
+    """
 
     def __init__(self, source: Source) -> None:
         self._source = source
@@ -76,7 +83,8 @@ class Recording:
                 return
             self._next = index + 1
             name, files = self._source.names[index], self._source.files(index)
-            yield LiveFrame(name, index, time.time_ns(), files, lambda index=index: self._source.read(index))  # type: ignore[misc]
+            read = functools.partial(self._source.read, index)
+            yield LiveFrame(name, index, time.time_ns(), files, read)
 
     def state(self) -> str:
         """How much of it is done."""

@@ -1,4 +1,6 @@
-"""The loop of `serve`: a frame is recorded first and published then, so that no consumer can cost a record."""
+"""The loop of `serve`: a frame is recorded first and published then, so that no consumer can cost a
+record.
+"""
 
 from __future__ import annotations
 
@@ -62,11 +64,24 @@ def serve(
 def _tell(record: Json, frame: LiveFrame) -> None:
     """One line a frame; its fields are in `extra`, for a log that a program reads."""
     codes = [reason["code"] for reason in record["reasons"]]
-    fields = {"frame": frame.name, "status": record["status"], "reasons": codes, "targets": len(record["targets"])}
+    fields = {
+        "frame": frame.name,
+        "status": record["status"],
+        "reasons": codes,
+        "targets": len(record["targets"]),
+    }
     fields["latency_ms"] = round(1000 * frame.age_s)
     reasons = f" ({', '.join(codes)})" if codes else ""
     text = "frame %s: %s%s, %d targets, %d ms after it arrived"
-    log.info(text, frame.name, record["status"], reasons, fields["targets"], fields["latency_ms"], extra=fields)
+    log.info(
+        text,
+        frame.name,
+        record["status"],
+        reasons,
+        fields["targets"],
+        fields["latency_ms"],
+        extra=fields,
+    )
 
 
 def processing(driver: Driver, watch: Watch) -> Process:

@@ -1,4 +1,6 @@
-"""A live run for monitors: health as JSON, and metrics in Prometheus' text format (version 0.0.4)."""
+"""A live run for monitors: health as JSON, and metrics in Prometheus' text format (version
+0.0.4).
+"""
 
 from __future__ import annotations
 
@@ -21,8 +23,8 @@ Sample = tuple[Mapping[str, str], float]
 def health(status: Status, folder: Path) -> dict[str, Any]:
     """Whether the program is in order: status ok, warning or alarm, and what is the matter.
 
-    An alarm needs somebody (a server that does not come up again, a full disk). A warning may pass by itself: no frame
-    for longer than targets hold, no consumer.
+    An alarm needs somebody (a server that does not come up again, a full disk). A warning may pass
+    by itself: no frame for longer than targets hold, no consumer.
     """
     alarms, warnings = status.alarms(), []
     free = shutil.disk_usage(folder).free
@@ -35,7 +37,11 @@ def health(status: Status, folder: Path) -> dict[str, Any]:
         warnings.append("no frame yet")
     elif frame_s > status.publisher.valid_for_s:
         warnings.append(f"no frame for {frame_s:.0f} s")
-    warnings += [f"{s.name} {s.address}: nobody connected" for s in status.publisher.states() if not s.connected]
+    warnings += [
+        f"{s.name} {s.address}: nobody connected"
+        for s in status.publisher.states()
+        if not s.connected
+    ]
     verdict = "alarm" if alarms else "warning" if warnings else "ok"
     return {"status": verdict, "alarms": alarms, "warnings": warnings, "version": __version__}
 
@@ -47,7 +53,10 @@ def metrics(status: Status, folder: Path) -> str:
 
 def _families(status: Status, folder: Path) -> Iterator[Iterable[str]]:
     counts, (frame_s, target_s), latest = status.counts(), status.ages_s(), status.publisher.latest
-    sinks = [({"sink": state.name, "address": state.address}, state) for state in status.publisher.states()]
+    sinks = [
+        ({"sink": state.name, "address": state.address}, state)
+        for state in status.publisher.states()
+    ]
     yield _family("info", "gauge", "version of the program", [({"version": __version__}, 1)])
     by_status = [({"status": name}, number) for name, number in sorted(counts.statuses.items())]
     yield _family("frames_total", "counter", "frames by status", by_status)
@@ -56,15 +65,34 @@ def _families(status: Status, folder: Path) -> Iterator[Iterable[str]]:
     yield _family("targets_total", "counter", "targets of all frames", [({}, counts.targets)])
     yield _latency(counts.latencies, counts.latency_sum_s)
     yield _family("frame_age_seconds", "gauge", "time since the last frame", _known(frame_s))
-    yield _family("target_age_seconds", "gauge", "time since the last frame with a target", _known(target_s))
-    yield _family("targets_valid", "gauge", "targets that may be struck now", [({}, len(latest.targets))])
-    yield _family("message_sequence", "gauge", "number of the last message", [({}, latest.sequence)])
-    yield _family("sink_consumers", "gauge", "connected consumers", [(of, s.consumers) for of, s in sinks])
+    yield _family(
+        "target_age_seconds", "gauge", "time since the last frame with a target", _known(target_s)
+    )
+    yield _family(
+        "targets_valid", "gauge", "targets that may be struck now", [({}, len(latest.targets))]
+    )
+    yield _family(
+        "message_sequence", "gauge", "number of the last message", [({}, latest.sequence)]
+    )
+    yield _family(
+        "sink_consumers", "gauge", "connected consumers", [(of, s.consumers) for of, s in sinks]
+    )
     yield _family("sink_sent_total", "counter", "messages sent", [(of, s.sent) for of, s in sinks])
-    yield _family("sink_dropped_total", "counter", "messages dropped", [(of, s.dropped) for of, s in sinks])
-    yield _family("sink_restarts_total", "counter", "servers started again", [(of, s.restarts) for of, s in sinks])
-    yield _family("sink_alarm", "gauge", "1: look after it", [(of, bool(s.alarm)) for of, s in sinks])
-    yield _family("disk_free_bytes", "gauge", "free for results", [({}, shutil.disk_usage(folder).free)])
+    yield _family(
+        "sink_dropped_total", "counter", "messages dropped", [(of, s.dropped) for of, s in sinks]
+    )
+    yield _family(
+        "sink_restarts_total",
+        "counter",
+        "servers started again",
+        [(of, s.restarts) for of, s in sinks],
+    )
+    yield _family(
+        "sink_alarm", "gauge", "1: look after it", [(of, bool(s.alarm)) for of, s in sinks]
+    )
+    yield _family(
+        "disk_free_bytes", "gauge", "free for results", [({}, shutil.disk_usage(folder).free)]
+    )
 
 
 def _family(name: str, kind: str, text: str, samples: Iterable[Sample]) -> list[str]:
@@ -89,4 +117,8 @@ def _labels(labels: Mapping[str, str]) -> str:
     if not labels:
         return ""
     escape = str.maketrans({"\\": r"\\", '"': r"\"", "\n": r"\n"})
-    return "{" + ",".join(f'{name}="{value.translate(escape)}"' for name, value in labels.items()) + "}"
+    return (
+        "{"
+        + ",".join(f'{name}="{value.translate(escape)}"' for name, value in labels.items())
+        + "}"
+    )

@@ -1,4 +1,6 @@
-"""The operator's live page, and what monitors ask: for this machine, and for a reverse proxy on it."""
+"""The operator's live page, and what monitors ask: for this machine, and for a reverse proxy on
+it.
+"""
 
 from __future__ import annotations
 
@@ -24,11 +26,15 @@ log = logging.getLogger(__name__)
 HOST = re.compile(r"(?:\[([0-9a-f:.]+)\]|([^:/@\[\]]+))(?::\d*)?", re.ASCII)
 LOOPBACK_NAMES = frozenset((LOOPBACK, "localhost", "::1"))
 
-POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src 'self'; connect-src 'self'"
+POLICY = (
+    "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src 'self';"
+    " connect-src 'self'"
+)
 
 
 class LivePage:
-    """Serves ``/``, ``/state.json``, ``/overlay.png``, ``/health`` and ``/metrics`` on a port of the loopback address.
+    """Serves ``/``, ``/state.json``, ``/overlay.png``, ``/health`` and ``/metrics`` on a port of
+    the loopback address.
 
     Parameters
     ----------
@@ -62,12 +68,17 @@ class LivePage:
             problem = f"can't listen on {LOOPBACK}:{self.port}: {fault.strerror}"
             raise OutputError(problem, key="page", remedy=remedy) from None
         self.port = self._server.server_address[1]
-        self._thread = threading.Thread(target=self._server.serve_forever, args=(0.1,), daemon=True, name="page")
+        self._thread = threading.Thread(
+            target=self._server.serve_forever, args=(0.1,), daemon=True, name="page"
+        )
         self._thread.start()
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self._server.shutdown()
         self._server.server_close()
@@ -82,7 +93,8 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Answer with what the path names."""
-        # A page of another site can't read ours, even when its name is made to resolve to this machine.
+        # A page of another site can't read ours, even when its name is made to resolve to this
+        # machine.
         if _host(self.headers.get("Host", "")) not in self.names:
             self._answer(403, "text/plain", b"this page is for the machine it runs on\n")
             return
@@ -116,7 +128,11 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _answer(self, code: int, kind: str, body: bytes) -> None:
         self.send_response(code)
-        headers = {"Content-Type": kind, "Content-Length": str(len(body)), "Cache-Control": "no-store"}
+        headers = {
+            "Content-Type": kind,
+            "Content-Length": str(len(body)),
+            "Cache-Control": "no-store",
+        }
         headers |= {"Content-Security-Policy": POLICY, "X-Content-Type-Options": "nosniff"}
         for key, value in headers.items():
             self.send_header(key, value)
@@ -129,6 +145,8 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def _host(header: str) -> str | None:
-    """The name or address in a Host header, with or without port (RFC 9110, 7.2); None for one that is none."""
+    """The name or address in a Host header, with or without port (RFC 9110, 7.2); None for one that
+    is none.
+    """
     found = HOST.fullmatch(header.strip().lower())
     return found and (found[1] or found[2])

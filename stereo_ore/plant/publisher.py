@@ -1,4 +1,6 @@
-"""Numbers messages, hands them to every sink, and withdraws targets when no new frame comes in time."""
+"""Numbers messages, hands them to every sink, and withdraws targets when no new frame comes in
+time.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,12 @@ class Publisher:
         What all messages share; a session is put in where there is none.
     """
 
-    def __init__(self, sinks: Sequence[TargetSink], valid_for_s: float, origin: Origin = Origin()) -> None:  # noqa: B008
+    def __init__(
+        self,
+        sinks: Sequence[TargetSink],
+        valid_for_s: float,
+        origin: Origin = Origin(),  # noqa: B008
+    ) -> None:
         self.valid_for_s = valid_for_s
         self._sinks = sinks
         self._origin = origin if origin.session else replace(origin, session=new_session())
@@ -47,7 +54,10 @@ class Publisher:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         with self._changed:
             self._closed = True
@@ -59,7 +69,9 @@ class Publisher:
     def publish(self, record: Json, age_s: float) -> Message:
         """Publish the targets of a record whose frame was taken `age_s` seconds ago."""
         with self._changed:
-            made = message(record, self._sequence, self._origin, age_s=age_s, valid_for_s=self.valid_for_s)
+            made = message(
+                record, self._sequence, self._origin, age_s=age_s, valid_for_s=self.valid_for_s
+            )
             self._send(made)
             self._changed.notify()
         return made
@@ -83,7 +95,9 @@ class Publisher:
     def _expire(self) -> None:
         with self._changed:
             while not self._closed:
-                remaining_s = self._latest.deadline - time.monotonic() if self._latest.valid else None
+                remaining_s = (
+                    self._latest.deadline - time.monotonic() if self._latest.valid else None
+                )
                 if remaining_s is not None and remaining_s <= 0:
                     self._send(self._withdrawal())
                 else:
@@ -92,4 +106,9 @@ class Publisher:
     def _withdrawal(self) -> Message:
         """The latest frame again, now without targets."""
         old = self._latest
-        return replace(old.withdrawn("EXPIRED"), sequence=self._sequence, status="expired", published_ns=time.time_ns())
+        return replace(
+            old.withdrawn("EXPIRED"),
+            sequence=self._sequence,
+            status="expired",
+            published_ns=time.time_ns(),
+        )

@@ -31,7 +31,8 @@ def schedule(folder: Path, rate_hz: float | None, speed: float) -> Iterator[tupl
     folder : Path
         Folder of a run.
     rate_hz : float or None
-        Frames a second; None: as the frames' stamps say or, without stamps, as long as each took to process.
+        Frames a second; None: as the frames' stamps say or, without stamps, as long as each took to
+        process.
     speed : float
         Times the recorded speed; has no meaning with a rate.
     """

@@ -43,7 +43,9 @@ class Status:
         self._last: Json | None = None
 
     def add(self, record: Json, latency_s: float | None = None) -> None:
-        """One frame is done, `latency_s` after it arrived [s]; negative latencies, of a clock set back, count as 0."""
+        """One frame is done, `latency_s` after it arrived [s]; negative latencies, of a clock set
+        back, count as 0.
+        """
         with self._lock:
             counts = self._counts
             self._times.append(time.monotonic())
@@ -63,11 +65,16 @@ class Status:
             return deepcopy(self._counts)
 
     def ages_s(self) -> tuple[float | None, float | None]:
-        """Time since the last frame and since the last frame with a target [s]; None: there was none."""
+        """Time since the last frame and since the last frame with a target [s]; None: there was
+        none.
+        """
         now = time.monotonic()
         with self._lock:
             frame_at, target_at = self._times[-1] if self._times else None, self._target_at
-        return None if frame_at is None else now - frame_at, None if target_at is None else now - target_at
+        return (
+            None if frame_at is None else now - frame_at,
+            None if target_at is None else now - target_at,
+        )
 
     def alarms(self) -> list[str]:
         """What somebody has to look after."""
@@ -97,7 +104,8 @@ class Status:
             "sinks": [asdict(state) for state in self._publisher.states()],
             "frames": statuses,
             "frame_rate_hz": round((len(times) - 1) / span, 3) if span else None,
-            "last_frame": last and {key: last[key] for key in ("frame", "index", "status", "reasons", "counts")},
+            "last_frame": last
+            and {key: last[key] for key in ("frame", "index", "status", "reasons", "counts")},
             "age_s": round(now - times[-1], 2) if times else None,
             "valid_for_s": self._publisher.valid_for_s,
             "valid_s": round(max(0.0, latest.deadline - now), 2) if latest.valid else 0.0,

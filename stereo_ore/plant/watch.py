@@ -1,12 +1,15 @@
-"""Frames that appear in a folder: complete ones only, each once, in the natural order of their names.
+"""Frames that appear in a folder: complete ones only, each once, in the natural order of their
+names.
 
-A frame is complete when both eyes are there and their files are: PNG and JPEG by their end marker, other formats when
-they have stopped growing. A frame that stays incomplete holds up those behind it for `patience_s` and is then handed
-on as it is, so that it is recorded as failed. A frame that sorts before one already handed on comes too late: it is
-counted, and never processed. So the name of the last frame done is all that a restart needs to know.
+A frame is complete when both eyes are there and their files are: PNG and JPEG by their end marker,
+other formats when they have stopped growing. A frame that stays incomplete holds up those behind it
+for `patience_s` and is then handed on as it is, so that it is recorded as failed. A frame that
+sorts before one already handed on comes too late: it is counted, and never processed. So the name
+of the last frame done is all that a restart needs to know.
 
-The age of a frame counts from when it was first seen here, by a clock that nobody sets: a share's server may have
-another time of day. Only for frames that were there at the start its files' times are all that is known.
+The age of a frame counts from when it was first seen here, by a clock that nobody sets: a share's
+server may have another time of day. Only for frames that were there at the start its files' times
+are all that is known.
 """
 
 from __future__ import annotations
@@ -53,7 +56,8 @@ class _Pending:
 class FolderWatch:
     """Watches `folder`, which may be empty at first, in any layout of image files that `run` knows.
 
-    `eye_size` (width, height) [px] is that of the calibration: an image of that size is no side-by-side one.
+    `eye_size` (width, height) [px] is that of the calibration: an image of that size is no
+    side-by-side one.
     """
 
     def __init__(
@@ -66,7 +70,11 @@ class FolderWatch:
         eye_size: tuple[int, int] | None = None,
     ) -> None:
         if not folder.is_dir():
-            raise SourceError("no such folder", file=folder, remedy="Make the folder that frames will be copied to")
+            raise SourceError(
+                "no such folder",
+                file=folder,
+                remedy="Make the folder that frames will be copied to",
+            )
         self.folder = folder
         self.name = str(folder)
         self._poll_s, self._patience_s, self._max_pixels = poll_s, patience_s, max_pixels
@@ -93,7 +101,8 @@ class FolderWatch:
             watching, scan_s = True, time.monotonic() - began
             pause_s = max(self._poll_s, scan_s / SCAN_SHARE)
             for place, arrival in enumerate(waiting):
-                # What arrives while a frame is worked on is to be seen soon: its age counts from then.
+                # What arrives while a frame is worked on is to be seen soon: its age counts from
+                # then.
                 overdue = place > 0 and time.monotonic() - began > pause_s
                 if stop.is_set() or overdue or not self._ready(arrival):
                     break
@@ -117,7 +126,9 @@ class FolderWatch:
         return "; ".join(parts)
 
     def _new_frames(self, after: str | None, late: bool) -> list[Arrival]:
-        """Frames that sort after `after`; the others are done or, once the folder is being watched, too late."""
+        """Frames that sort after `after`; the others are done or, once the folder is being watched,
+        too late.
+        """
         try:
             found, self._problem = arrivals(self.folder, self._done), ""
         except OSError as fault:
@@ -134,7 +145,12 @@ class FolderWatch:
         self._leave_out(past)
         if late and past:
             self._late += len(past)
-            log.warning("%d frames in %s sort before %s, which is done: left out", len(past), self.folder, after)
+            log.warning(
+                "%d frames in %s sort before %s, which is done: left out",
+                len(past),
+                self.folder,
+                after,
+            )
         return found[len(past) :]
 
     def _leave_out(self, past: list[Arrival]) -> None:
@@ -144,7 +160,9 @@ class FolderWatch:
             self._prune_at = max(PRUNE_AT, 2 * len(self._done))
 
     def _see(self, waiting: Sequence[Arrival], watching: bool) -> None:
-        """Note when frames are first seen; those that were there at the start are as old as their files."""
+        """Note when frames are first seen; those that were there at the start are as old as their
+        files.
+        """
         now_s = time.monotonic()
         earlier = self._seen_s
         self._seen_s = {}
@@ -156,14 +174,17 @@ class FolderWatch:
                 self._check_clock(arrival)
 
     def _check_clock(self, arrival: Arrival) -> None:
-        """Say once when the clock of the files is not this machine's, by a frame that has come since the last look."""
+        """Say once when the clock of the files is not this machine's, by a frame that has come
+        since the last look.
+        """
         skew_s = (time.time_ns() - _changed_ns(arrival)) / 1e9
         slack_s = MOST_SKEW_S + (self._quiet_s if skew_s > 0 else 0)
         if abs(skew_s) > slack_s and not self._told_skew:
             self._told_skew = True
             way = "behind" if skew_s > 0 else "ahead of"
             log.warning(
-                "the clock of files in %s is %.1f s %s this machine's: ages of frames count from when they are seen",
+                "the clock of files in %s is %.1f s %s this machine's: ages of frames count from"
+                " when they are seen",
                 self.folder,
                 abs(skew_s),
                 way,
@@ -172,7 +193,9 @@ class FolderWatch:
     def _ready(self, arrival: Arrival) -> bool:
         """Whether the frame may be handed on: complete, or waited for long enough."""
         try:
-            looks = tuple((stat.st_size, stat.st_mtime_ns) for stat in (file.stat() for file in arrival.files))
+            looks = tuple(
+                (stat.st_size, stat.st_mtime_ns) for stat in (file.stat() for file in arrival.files)
+            )
         except OSError:
             looks = ()
         pending = self._pending
@@ -184,13 +207,17 @@ class FolderWatch:
             return True
         if unchanged_s >= self._patience_s:
             self._pending, self._waited_s = None, unchanged_s
-            log.warning("frame %s was not complete and did not change for %.0f s", arrival.name, unchanged_s)
+            log.warning(
+                "frame %s was not complete and did not change for %.0f s", arrival.name, unchanged_s
+            )
             return True
         return False
 
     def _frame(self, arrival: Arrival, index: int) -> LiveFrame:
         source = limit_pixels(arrival.source, self._max_pixels)
-        arrival = replace(arrival, source=expect_eyes(source, self._eye_size) if self._eye_size else source)
+        arrival = replace(
+            arrival, source=expect_eyes(source, self._eye_size) if self._eye_size else source
+        )
         seen_s = self._seen_s.get(arrival.name)
         arrived_ns = _changed_ns(arrival)
         if seen_s is not None:
@@ -218,7 +245,9 @@ def _after_waiting(fault: FrameError, waited_s: float) -> FrameError:
 
 
 def _is_whole(file: Path, unchanged_s: float) -> bool:
-    """Whether a file ends as its format says or, for formats that say nothing, has not changed for a while."""
+    """Whether a file ends as its format says or, for formats that say nothing, has not changed for
+    a while.
+    """
     try:
         # Of a file only: a pipe under its name would be waited for.
         data = file.read_bytes() if file.is_file() else b""
@@ -229,8 +258,12 @@ def _is_whole(file: Path, unchanged_s: float) -> bool:
 
 
 def _changed_ns(arrival: Arrival) -> int:
-    """When its files got their content here: copying tools carry the modification time over, not the change time."""
-    return max((file.stat().st_ctime_ns for file in arrival.files if file.exists()), default=time.time_ns())
+    """When its files got their content here: copying tools carry the modification time over, not
+    the change time.
+    """
+    return max(
+        (file.stat().st_ctime_ns for file in arrival.files if file.exists()), default=time.time_ns()
+    )
 
 
 def first_size(folder: Path) -> tuple[int, int] | None:

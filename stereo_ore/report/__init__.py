@@ -1,4 +1,6 @@
-"""``report.html``: one file that shows a run, opens without a network, and is made from the run's folder alone."""
+"""``report.html``: one file that shows a run, opens without a network, and is made from the run's
+folder alone.
+"""
 
 from __future__ import annotations
 

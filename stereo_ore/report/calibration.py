@@ -1,4 +1,6 @@
-"""The verdict on the calibration by the first pair of a run: a wrong one spoils everything and shows nowhere else."""
+"""The verdict on the calibration by the first pair of a run: a wrong one spoils everything and
+shows nowhere else.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ CHECK_FILE = "calibration_check.json"
 def write_check(
     folder: Path, recording: Source, indices: range, calibration: StereoCalibration
 ) -> dict[str, Any] | None:
-    """Judge the calibration by the first readable frame of its size, and keep the verdict in the run's folder."""
+    """Judge the calibration by the first readable frame of its size, and keep the verdict in the
+    run's folder.
+    """
     for index in indices:
         try:
             pair = recording.read(index)
@@ -30,8 +34,13 @@ def write_check(
         rows = result.residual
         text = f"{rows.used} matched features of frame {pair.name}"
         if rows.enough:
-            text += f": rows differ by {rows.systematic_px:.2f} px systematically, noise {rows.noise_px:.2f} px"
-        findings = [{"severity": f.severity, "code": f.code, "text": f.text} for f in result.findings]
+            text += (
+                f": rows differ by {rows.systematic_px:.2f} px systematically, noise"
+                f" {rows.noise_px:.2f} px"
+            )
+        findings = [
+            {"severity": f.severity, "code": f.code, "text": f.text} for f in result.findings
+        ]
         check = {"frame": pair.name, "verdict": result.verdict, "text": text, "findings": findings}
         write_text(folder / CHECK_FILE, json.dumps(check, indent=1, ensure_ascii=False) + "\n")
         return check

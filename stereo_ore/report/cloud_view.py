@@ -1,4 +1,6 @@
-"""What the page shows of a cloud: points for the 3-D view, scores of the filter, expected depth noise."""
+"""What the page shows of a cloud: points for the 3-D view, scores of the filter, expected depth
+noise.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +47,9 @@ def views(
 
 
 def pack(cloud: clouds.Records, points: int) -> dict[str, Any]:
-    """Every n-th point as base64 of little-endian arrays: xyz int16 [mm], grey uint8, ore id uint16."""
+    """Every n-th point as base64 of little-endian arrays: xyz int16 [mm], grey uint8, ore id
+    uint16.
+    """
     step = -(-len(cloud) // max(points, 1))
     some = cloud[::step]
     millimetres = np.clip(np.rint(clouds.xyz(some) / MILLIMETRE), -32767, 32767)
@@ -60,7 +64,9 @@ def pack(cloud: clouds.Records, points: int) -> dict[str, Any]:
 
 
 def scores(cloud: clouds.Records, stages: Mapping[str, npt.NDArray[Any]] | None) -> dict[str, Any]:
-    """Histogram of the filter's scores among kept and, where known, removed voxels; the top 0.5 % in the last bin."""
+    """Histogram of the filter's scores among kept and, where known, removed voxels; the top 0.5 %
+    in the last bin.
+    """
     if stages is None:
         kept, removed = cloud["score"], np.zeros(0, np.float32)
     else:
@@ -71,12 +77,21 @@ def scores(cloud: clouds.Records, stages: Mapping[str, npt.NDArray[Any]] | None)
         return {"edges": [], "kept": [], "removed": []}
     low, high = (float(value) for value in np.quantile(both, [0, 0.995]))
     edges = np.linspace(low, max(high, low + 1e-6), SCORE_BINS + 1)
-    counts = [np.histogram(np.clip(part, edges[0], edges[-1]), edges)[0].tolist() for part in (kept, removed)]
-    return {"edges": [round(float(edge), 6) for edge in edges], "kept": counts[0], "removed": counts[1]}
+    counts = [
+        np.histogram(np.clip(part, edges[0], edges[-1]), edges)[0].tolist()
+        for part in (kept, removed)
+    ]
+    return {
+        "edges": [round(float(edge), 6) for edge in edges],
+        "kept": counts[0],
+        "removed": counts[1],
+    }
 
 
 def noise_map(xyz: F64, rig: Rig, sigma_px: float) -> dict[str, Any]:
-    """Expected standard deviation of depth [mm], σ_z = z² / (f·B) · σ_d, as the median of each image cell's points."""
+    """Expected standard deviation of depth [mm], σ_z = z² / (f·B) · σ_d, as the median of each
+    image cell's points.
+    """
     cell = rig.width / NOISE_COLUMNS
     rows = int(np.ceil(rig.height / cell))
     column, row = np.floor(rig.project(xyz) / cell).T

@@ -25,7 +25,9 @@ REASON_EXAMPLES = 40
 
 
 def page_data(results: Results) -> dict[str, Any]:
-    """All that the page's script needs; frames in brief and in detail go by their place among those listed."""
+    """All that the page's script needs; frames in brief and in detail go by their place among those
+    listed.
+    """
     records = results.records
     listed = [records[place] for place in _spread(len(records), LISTED_FRAMES)]
     detailed = _spread(len(listed), DETAILED_FRAMES)
@@ -44,7 +46,9 @@ def page_data(results: Results) -> dict[str, Any]:
         },
         "details": {str(place): _detail(results, listed[place]) for place in detailed},
         "files": {
-            name: text for name in ("config.yaml", "calibration.yaml", "site.yaml") if (text := results.text(name))
+            name: text
+            for name in ("config.yaml", "calibration.yaml", "site.yaml")
+            if (text := results.text(name))
         },
         "check": results.calibration_check,
     }
@@ -52,7 +56,9 @@ def page_data(results: Results) -> dict[str, Any]:
 
 def _spread(count: int, wanted: int) -> list[int]:
     """At most `wanted` places spread evenly over `count`, first and last among them."""
-    return sorted({int(place) for place in np.linspace(0, max(count - 1, 0), min(wanted, count)).round()})
+    return sorted(
+        {int(place) for place in np.linspace(0, max(count - 1, 0), min(wanted, count)).round()}
+    )
 
 
 def _run(results: Results) -> dict[str, Any]:
@@ -84,13 +90,20 @@ def _reasons(records: Sequence[Json]) -> list[dict[str, Any]]:
     examples: dict[tuple[str, str], str] = {}
     for record in records:
         found = [("frame", record["frame"], reason) for reason in record["reasons"]]
-        found += [("ore", f"{record['frame']}, ore {ore['id']}", r) for ore in record["ores"] for r in ore["reasons"]]
+        found += [
+            ("ore", f"{record['frame']}, ore {ore['id']}", r)
+            for ore in record["ores"]
+            for r in ore["reasons"]
+        ]
         for kind, where, reason in found:
             key = kind, reason["code"]
             counts[key] += 1
             examples.setdefault(key, f"{where}: {reason['detail']}")
     common = counts.most_common(REASON_EXAMPLES)
-    return [{"of": key[0], "code": key[1], "count": count, "example": examples[key]} for key, count in common]
+    return [
+        {"of": key[0], "code": key[1], "count": count, "example": examples[key]}
+        for key, count in common
+    ]
 
 
 def _sizes(records: Sequence[Json]) -> dict[str, list[Any]]:
@@ -136,7 +149,11 @@ def _detail(results: Results, record: Json) -> dict[str, Any]:
     }
     if cloud is not None and len(cloud):
         detail |= cloud_view.views(
-            cloud, results.stages(frame), results.rig, results.config.matching.sigma_px, CLOUD_POINTS
+            cloud,
+            results.stages(frame),
+            results.rig,
+            results.config.matching.sigma_px,
+            CLOUD_POINTS,
         )
     return detail
 
@@ -147,6 +164,7 @@ def _ore(ore: Json) -> Mapping[str, Any]:
     strike, centre = ore["strike"], ore["centre_of_gravity"]
     return {key: ore[key] for key in keys} | {
         "centre": centre and {key: centre[key] for key in ("camera", "arm", "sigma_m")},
-        "strike": strike and {key: strike[key] for key in ("point", "direction", "slope_deg", "score")},
+        "strike": strike
+        and {key: strike[key] for key in ("point", "direction", "slope_deg", "score")},
         "reasons": [reason["code"] for reason in ore["reasons"]],
     }

@@ -39,7 +39,9 @@ def _script_json(data: Mapping[str, Any]) -> str:
 
 
 def _plotly() -> str:
-    """JavaScript of plotly, from the package's data: importing the package itself would take a second."""
+    """JavaScript of plotly, from the package's data: importing the package itself would take a
+    second.
+    """
     spec = find_spec("plotly")
     for place in (spec.submodule_search_locations or ()) if spec else ():
         file = Path(place) / "package_data" / "plotly.min.js"

@@ -27,12 +27,16 @@ def thumbnail(path: Path) -> str | None:
 
 
 def _jpeg(path: Path, width: int, quality: int) -> str | None:
-    """None for a file that is damaged: the page then lacks a picture, and the records still count."""
+    """None for a file that is damaged: the page then lacks a picture, and the records still
+    count.
+    """
     try:
         image = read_image(path)
     except FrameError:
         return None
-    data = cv2.imencode(".jpg", _shrink(np.asarray(image, np.uint8), width), [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+    data = cv2.imencode(
+        ".jpg", _shrink(np.asarray(image, np.uint8), width), [cv2.IMWRITE_JPEG_QUALITY, quality]
+    )[1]
     return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
 
 

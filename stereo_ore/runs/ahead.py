@@ -14,14 +14,15 @@ from stereo_ore.io.recordings.stamps import Stamp
 from stereo_ore.types import StereoCalibration, StereoPair
 
 FRAMES_AHEAD = 2
-"""Frames read before they are asked for: a bound on memory, enough to hide a disk that is slow at times."""
+"""Frames read before they are asked for: a bound on memory, enough to hide a disk that is slow at
+times."""
 
 
 class ReadAhead:
     """Another `Source`, read by one thread in the `order` announced; a context manager.
 
-    A frame that is asked for out of that order is read when its turn comes. An error is raised where the frame is
-    asked for, as without it.
+    A frame that is asked for out of that order is read when its turn comes. An error is raised
+    where the frame is asked for, as without it.
     """
 
     def __init__(self, source: Source, order: Iterable[int]) -> None:
@@ -35,7 +36,10 @@ class ReadAhead:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self._thread.shutdown(cancel_futures=True)
 

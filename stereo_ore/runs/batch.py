@@ -20,12 +20,15 @@ from stereo_ore.types import FrameResult
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 WRITES_AHEAD = 2
-"""Frames whose files may wait to be written: a bound on memory, for a frame's arrays wait with them."""
+"""Frames whose files may wait to be written: a bound on memory, for a frame's arrays wait with
+them."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """What a worker needs to turn a frame's index into lines and files; can be sent to another process."""
+    """What a worker needs to turn a frame's index into lines and files; can be sent to another
+    process.
+    """
 
     source: Source
     driver: Driver
@@ -36,8 +39,12 @@ class Job:
         return self.finish(self.detect(index))
 
     def fused(self, index: int) -> range:
-        """The frames that are measured as one with frame `index`: itself, or as many as `matching.fuse` says."""
-        return range(index, min(index + self.driver.chain.config.matching.fuse, len(self.source.names)))
+        """The frames that are measured as one with frame `index`: itself, or as many as
+        `matching.fuse` says.
+        """
+        return range(
+            index, min(index + self.driver.chain.config.matching.fuse, len(self.source.names))
+        )
 
     def detect(self, index: int) -> FrameResult:
         """Process frame `index`.
@@ -49,7 +56,9 @@ class Job:
         """
         name, indices = self.source.names[index], self.fused(index)
         stamp = self.source.stamp(index)
-        result = self.driver.detect(name, index, lambda: [self.source.read(i) for i in indices], stamp)
+        result = self.driver.detect(
+            name, index, lambda: [self.source.read(i) for i in indices], stamp
+        )
         if self.strict and result.status == "failed":
             reason = result.reasons[-1]
             raise FrameError(f"frame {result.name} failed: {reason.detail}", code=reason.code)
@@ -67,7 +76,10 @@ def run(job: Job, indices: Sequence[int], workers: int = 1) -> Iterator[FrameLin
         yield from _overlapped(job, indices)
         return
     # Spawned, not forked: OpenCV's and BLAS's threads do not survive a fork.
-    with _single_threaded(), ProcessPoolExecutor(workers, get_context("spawn"), _start_worker, (job,)) as pool:
+    with (
+        _single_threaded(),
+        ProcessPoolExecutor(workers, get_context("spawn"), _start_worker, (job,)) as pool,
+    ):
         pending: deque[Future[FrameLines]] = deque()
         try:
             for index in indices:
@@ -83,7 +95,9 @@ def run(job: Job, indices: Sequence[int], workers: int = 1) -> Iterator[FrameLin
 
 @contextmanager
 def _single_threaded() -> Iterator[None]:
-    """BLAS and OpenMP of the processes that are started meanwhile have one thread: they read this when loaded."""
+    """BLAS and OpenMP of the processes that are started meanwhile have one thread: they read this
+    when loaded.
+    """
     earlier = {name: os.environ.get(name) for name in THREAD_VARIABLES}
     os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
     try:
@@ -94,7 +108,9 @@ def _single_threaded() -> Iterator[None]:
 
 
 def _overlapped(job: Job, indices: Sequence[int]) -> Iterator[FrameLines]:
-    """Frames one after the other; meanwhile one thread reads those to come and one writes those that are done."""
+    """Frames one after the other; meanwhile one thread reads those to come and one writes those
+    that are done.
+    """
     order = (i for index in indices for i in job.fused(index))
     with ReadAhead(job.source, order) as source, ThreadPoolExecutor(1, "write") as writer:
         ahead = replace(job, source=source)

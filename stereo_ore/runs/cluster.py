@@ -1,8 +1,8 @@
 """Many frames on many machines: a recording in chunks over a Dask cluster; results come in order.
 
-Machines share a file system: workers read the recording and write each frame's clouds and pictures themselves, only
-lines of text travel. The job waits for them as a file in the output folder, so a worker that does not see the same
-files says so before it does any work.
+Machines share a file system: workers read the recording and write each frame's clouds and pictures
+themselves, only lines of text travel. The job waits for them as a file in the output folder, so a
+worker that does not see the same files says so before it does any work.
 """
 
 from __future__ import annotations
@@ -36,16 +36,19 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 CONNECT_S, WORKERS_S, NEWS_S = 20, 120, 30
-"""How long to wait for the scheduler, for its first worker, and before asking whether there still is one."""
+"""How long to wait for the scheduler, for its first worker, and before asking whether there still
+is one."""
 
 PATIENCE_S = 10.0
 """A shared file system may show a new file this late on another machine."""
 
 LARGEST_CHUNK = 16
-"""Frames of a chunk at most: seconds of work, beside which Dask's few milliseconds a task are nothing."""
+"""Frames of a chunk at most: seconds of work, beside which Dask's few milliseconds a task are
+nothing."""
 
 CHUNKS_AHEAD = 4
-"""Chunks a worker that are under way: a bound on memory, and on how long others wait for one that is done again."""
+"""Chunks a worker that are under way: a bound on memory, and on how long others wait for one that
+is done again."""
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
 """Parameters of glibc's mallopt(3)."""
@@ -57,7 +60,9 @@ RESUME = "The same command with --resume continues"
 
 @dataclass(frozen=True)
 class Envelope:
-    """What a worker needs to find its job: the file, and the folder that relative paths start from."""
+    """What a worker needs to find its job: the file, and the folder that relative paths start
+    from.
+    """
 
     file: Path
     folder: Path
@@ -80,14 +85,17 @@ class ChunkLines:
 
 
 def run(job: Job, indices: Sequence[int], address: str) -> Iterator[FrameLines]:
-    """Lines of each frame, in order of `indices`, from the workers of the Dask scheduler at `address`.
+    """Lines of each frame, in order of `indices`, from the workers of the Dask scheduler at
+    `address`.
 
-    Chunks of a worker that is lost are done by others; a frame that is done twice gets the same bytes.
+    Chunks of a worker that is lost are done by others; a frame that is done twice gets the same
+    bytes.
 
     Raises
     ------
     ClusterError
-        When the scheduler can't be reached, no worker comes, or a worker sees other files or has other versions.
+        When the scheduler can't be reached, no worker comes, or a worker sees other files or has
+        other versions.
     StereoOreError
         What a worker met in writing its files, or with a strict job in a frame.
     """
@@ -121,19 +129,25 @@ def _connect(address: str) -> Iterator[Client]:
     except ImportError:
         raise MissingExtraError("distributed", "cluster") from None
     for chatty in ("distributed", "distributed.client", "tornado.application"):
-        logging.getLogger(chatty).setLevel(logging.CRITICAL)  # what goes wrong is told once, by `_loss_told`
+        logging.getLogger(chatty).setLevel(
+            logging.CRITICAL
+        )  # what goes wrong is told once, by `_loss_told`
     try:
         client = Client(address, timeout=CONNECT_S, set_as_default=False, name="stereo-ore")
     except (OSError, ValueError, TypeError) as fault:
         problem = f"can't be reached: {str(fault) or type(fault).__name__}"
-        raise ClusterError(problem, file=address, remedy="Is `dask scheduler` running there?") from None
+        raise ClusterError(
+            problem, file=address, remedy="Is `dask scheduler` running there?"
+        ) from None
     with client:
         yield client
 
 
 @contextlib.contextmanager
 def _shipped(job: Job) -> Iterator[Envelope]:
-    """The job as a file in the output folder, as long as it is needed; what a killed run has left goes."""
+    """The job as a file in the output folder, as long as it is needed; what a killed run has left
+    goes.
+    """
     folder = job.driver.files.folder.resolve()
     for old in folder.glob(".job-*.pickle"):
         old.unlink(missing_ok=True)
@@ -189,13 +203,16 @@ def _result(client: Client, future: Future) -> ChunkLines:
 
 
 _turn = threading.Lock()
-"""A worker with several threads takes one chunk after the other: decoders and the current folder are its process's."""
+"""A worker with several threads takes one chunk after the other: decoders and the current folder
+are its process's."""
 
 
 def _work(envelope: Envelope, indices: Sequence[int]) -> ChunkLines:
     """Do a chunk on a worker."""
     lines: list[FrameLines] = []
-    here = contextlib.chdir(envelope.folder) if envelope.folder.is_dir() else contextlib.nullcontext()
+    here = (
+        contextlib.chdir(envelope.folder) if envelope.folder.is_dir() else contextlib.nullcontext()
+    )
     with _turn, here:
         job = _open(envelope)
         for index in indices:
@@ -217,10 +234,16 @@ def _open(envelope: Envelope) -> Job:
         raise _differs("does not see the recording", job.source.path)
     mine = versions()
     if mine != shipment.versions:
-        names = sorted(name for name in {*mine, *shipment.versions} if mine.get(name) != shipment.versions.get(name))
+        names = sorted(
+            name
+            for name in {*mine, *shipment.versions}
+            if mine.get(name) != shipment.versions.get(name)
+        )
         texts = (f"{name} {mine.get(name)}, not {shipment.versions.get(name)}" for name in names)
         remedy = "Install the same versions everywhere, so that results do not depend on the worker"
-        raise ClusterError(f"worker on {socket.gethostname()} has {'; '.join(texts)}", remedy=remedy)
+        raise ClusterError(
+            f"worker on {socket.gethostname()} has {'; '.join(texts)}", remedy=remedy
+        )
     cv2.setNumThreads(1)
     _keep_memory()
     return job
@@ -229,8 +252,8 @@ def _open(envelope: Envelope) -> Job:
 def _keep_memory() -> None:
     """Let glibc keep freed memory up to `KEPT_BYTES`.
 
-    Dask's nanny makes it give back all at once (MALLOC_TRIM_THRESHOLD_), and then the pages of every image are made
-    anew: a third of a frame's time.
+    Dask's nanny makes it give back all at once (MALLOC_TRIM_THRESHOLD_), and then the pages of
+    every image are made anew: a third of a frame's time.
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
     if mallopt is not None:
@@ -249,5 +272,7 @@ def _read(file: Path) -> bytes:
 
 
 def _differs(problem: str, path: Path) -> ClusterError:
-    remedy = "Recording and --out must lie on a file system that all workers share, under the same paths"
+    remedy = (
+        "Recording and --out must lie on a file system that all workers share, under the same paths"
+    )
     return ClusterError(f"worker on {socket.gethostname()} {problem}", file=path, remedy=remedy)

@@ -1,7 +1,8 @@
 """The folder of a run: records in order, timings, inputs, and what is needed to repeat it.
 
-While a run lasts its lines grow in ``*.part`` files; at the end they get their final names. So a reader never takes
-an unfinished run for a finished one, and a killed run is continued from its last whole line.
+While a run lasts its lines grow in ``*.part`` files; at the end they get their final names. So a
+reader never takes an unfinished run for a finished one, and a killed run is continued from its last
+whole line.
 """
 
 from __future__ import annotations
@@ -15,7 +16,14 @@ from types import TracebackType
 from typing import IO, Any
 
 from stereo_ore.errors import OutputError
-from stereo_ore.io.atomic import guarded, make_folder, remove_leftovers, write_bytes, write_lines, write_text
+from stereo_ore.io.atomic import (
+    guarded,
+    make_folder,
+    remove_leftovers,
+    write_bytes,
+    write_lines,
+    write_text,
+)
 from stereo_ore.io.ore_table import ores_csv
 
 LINES = ("frames.jsonl", "timings.jsonl", "inputs.jsonl")
@@ -42,15 +50,17 @@ class RunFolder:
     folder : Path
         Made when it does not exist.
     description : mapping
-        What the run is made from (versions, configuration, names of frames …): written to ``run.json``; its digest
-        tells whether a folder holds the same run.
+        What the run is made from (versions, configuration, names of frames …): written to
+        ``run.json``; its digest tells whether a folder holds the same run.
     resume : bool
         Continue after the last whole frame of an unfinished run.
     overwrite : bool
         Replace a different run.
     """
 
-    def __init__(self, folder: Path, description: Mapping[str, Any], *, resume: bool, overwrite: bool) -> None:
+    def __init__(
+        self, folder: Path, description: Mapping[str, Any], *, resume: bool, overwrite: bool
+    ) -> None:
         self.folder = folder
         self.description = dict(description, digest=digest(description))
         self._check_links()
@@ -59,7 +69,9 @@ class RunFolder:
         if earlier and not resume:
             self._remove_results()
         self.done = self._trim() if resume else 0
-        write_text(folder / "run.json", json.dumps(self.description, indent=1, ensure_ascii=False) + "\n")
+        write_text(
+            folder / "run.json", json.dumps(self.description, indent=1, ensure_ascii=False) + "\n"
+        )
         self._files: dict[str, IO[str]] = {}
 
     def __enter__(self) -> RunFolder:
@@ -73,7 +85,10 @@ class RunFolder:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         for file in self._files.values():
             file.close()
@@ -81,7 +96,10 @@ class RunFolder:
     def earlier(self) -> Iterator[FrameLines]:
         """The lines of the frames that are done already."""
         files = [iter(_whole_lines(self._part(name))) for name in LINES]
-        return (FrameLines(*(line.decode("utf-8", "replace") for line in lines)) for lines in zip(*files, strict=True))
+        return (
+            FrameLines(*(line.decode("utf-8", "replace") for line in lines))
+            for lines in zip(*files, strict=True)
+        )
 
     def add(self, lines: FrameLines) -> None:
         """Append one frame, flushed so that a kill loses no more than the frame in work."""
@@ -100,12 +118,17 @@ class RunFolder:
             file.close()
         frames = self._part("frames.jsonl")
         write_lines(self.folder / "ores.csv", ores_csv(frames))
-        inputs = [json.loads(line) for line in self._part("inputs.jsonl").read_text(encoding="utf-8").splitlines()]
+        inputs = [
+            json.loads(line)
+            for line in self._part("inputs.jsonl").read_text(encoding="utf-8").splitlines()
+        ]
         finished = {**self.description, "inputs": inputs, "finished": True}
         for name in ("timings.jsonl", "frames.jsonl"):
             part, final = self._part(name), self.folder / name
             guarded(final, lambda part=part, final=final: part.replace(final))  # type: ignore[misc]
-        write_text(self.folder / "run.json", json.dumps(finished, indent=1, ensure_ascii=False) + "\n")
+        write_text(
+            self.folder / "run.json", json.dumps(finished, indent=1, ensure_ascii=False) + "\n"
+        )
         self._part("inputs.jsonl").unlink()
         for child in ("", *FRAME_FOLDERS):
             remove_leftovers(self.folder / child)
@@ -114,7 +137,9 @@ class RunFolder:
         return self.folder / f"{name}.part"
 
     def _check_links(self) -> None:
-        """Refuse a link in the place of what is written: what it points to belongs to somebody else."""
+        """Refuse a link in the place of what is written: what it points to belongs to somebody
+        else.
+        """
         for name in WRITTEN:
             if (self.folder / name).is_symlink():
                 remedy = "Remove it, or name another --out; --out itself may be a link"
@@ -127,7 +152,10 @@ class RunFolder:
         if not earlier.is_file():
             return False
         try:
-            same = json.loads(earlier.read_text(encoding="utf-8")).get("digest") == self.description["digest"]
+            same = (
+                json.loads(earlier.read_text(encoding="utf-8")).get("digest")
+                == self.description["digest"]
+            )
         except (ValueError, AttributeError):
             same = False
         if not same and (resume or not overwrite):
@@ -151,14 +179,19 @@ class RunFolder:
         return count
 
     def _reopen(self) -> None:
-        """Lines that have their final names already, of a run that has ended or was killed while ending, grow again."""
+        """Lines that have their final names already, of a run that has ended or was killed while
+        ending, grow again.
+        """
         for name in ("timings.jsonl", "frames.jsonl"):
             part, final = self._part(name), self.folder / name
             if final.is_file() and not part.exists():
                 guarded(final, lambda part=part, final=final: final.replace(part))  # type: ignore[misc]
         if not self._part("inputs.jsonl").exists() and (self.folder / "run.json").is_file():
             run = json.loads((self.folder / "run.json").read_text(encoding="utf-8"))
-            write_text(self._part("inputs.jsonl"), "".join(json.dumps(entry) + "\n" for entry in run.get("inputs", [])))
+            write_text(
+                self._part("inputs.jsonl"),
+                "".join(json.dumps(entry) + "\n" for entry in run.get("inputs", [])),
+            )
 
     def _remove_results(self) -> None:
         derived = ("ores.csv", "report.html", "calibration_check.json")

@@ -1,4 +1,6 @@
-"""The files of one frame: filtered cloud, overlay and, where wanted, stage arrays and a picture in space."""
+"""The files of one frame: filtered cloud, overlay and, where wanted, stage arrays and a picture in
+space.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +45,9 @@ class FrameFiles:
     overlays: bool = True
 
     def write(self, result: FrameResult) -> None:
-        """Write what the frame has and what is wanted: nothing for a frame that could not be read."""
+        """Write what the frame has and what is wanted: nothing for a frame that could not be
+        read.
+        """
         if self.overlays:
             self._write_image("overlays", result.name, overlay.draw(result))
         if self.pictures:
@@ -60,7 +64,8 @@ class FrameFiles:
 
 
 def cloud_table(result: FrameResult) -> npt.NDArray[np.void]:
-    """Kept voxels (M,) with the fields x y z [m], red green blue, ore_id (0 = screen and rest), score.
+    """Kept voxels (M,) with the fields x y z [m], red green blue, ore_id (0 = screen and rest),
+    score.
 
     Empty for a frame that did not reach the filter.
     """
@@ -125,7 +130,9 @@ def stages_npz(result: FrameResult) -> bytes:
 
 
 def npz(arrays: Mapping[str, npt.NDArray[Any]]) -> bytes:
-    """An ``.npz`` file of arrays; `np.savez_compressed` knows only one, slow, level of compression."""
+    """An ``.npz`` file of arrays; `np.savez_compressed` knows only one, slow, level of
+    compression.
+    """
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=NPZ_LEVEL) as archive:
         for name, array in arrays.items():

@@ -1,7 +1,8 @@
-"""What only a frame's predecessors tell: an image that is not new, a view that has become worse, what was in the air.
+"""What only a frame's predecessors tell: an image that is not new, a view that has become worse,
+what was in the air.
 
-An ordered fold over the lines of a run, in the parent process: the same records come out for any number of workers,
-and a run that is continued starts from what was written before.
+An ordered fold over the lines of a run, in the parent process: the same records come out for any
+number of workers, and a run that is continued starts from what was written before.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ from stereo_ore.types import F64, U8, FrameResult, Reason
 FEWEST_GOOD = 5
 """Good frames that are needed to say what is usual."""
 SAME_M, SAME_SHARE = 0.03, 0.03
-"""A lump is one of the frame before when the middles of what is seen are this near, or this share of the distance."""
+"""A lump is one of the frame before when the middles of what is seen are this near, or this share
+of the distance."""
 
 
 def fingerprints(result: FrameResult) -> list[str] | None:
@@ -56,10 +58,14 @@ class Watch:
             self._remember(json.loads(lines.record), _images(lines))
 
     def judge(self, lines: FrameLines) -> FrameLines:
-        """The lines of the next frame; its record is degraded, without targets, where its predecessors say so."""
+        """The lines of the next frame; its record is degraded, without targets, where its
+        predecessors say so.
+        """
         read = record = json.loads(lines.record)
         images = _images(lines)
-        reasons = () if record["status"] == "failed" else (*self._frozen(images), *self._fallen(record))
+        reasons = (
+            () if record["status"] == "failed" else (*self._frozen(images), *self._fallen(record))
+        )
         if reasons:
             record = _degraded(record, reasons)
         elif self._config.confirm:
@@ -81,10 +87,17 @@ class Watch:
         if not (self._config.refuse_frozen and images):
             return
         for ago, earlier in enumerate(reversed(self._images), 1):
-            same = [eye for eye, new, old in zip(("left", "right"), images, earlier, strict=True) if new == old]
+            same = [
+                eye
+                for eye, new, old in zip(("left", "right"), images, earlier, strict=True)
+                if new == old
+            ]
             if same:
                 before = "the frame before" if ago == 1 else f"the frame {ago} before"
-                text = f"the image of the {' and of the '.join(same)} eye is that of {before}, pixel for pixel"
+                text = (
+                    f"the image of the {' and of the '.join(same)} eye is that of {before}, pixel"
+                    " for pixel"
+                )
                 yield Reason("FRAME_FROZEN", f"{text}: does the camera still deliver?")
                 return
 
@@ -93,8 +106,12 @@ class Watch:
             return
         share, usual = _valid_share(record), median(self._good)
         if share < self._config.min_of_usual * usual:
-            text = f"{100 * share:.0f} % of the pixels have a disparity, {100 * usual:.0f} % are usual"
-            yield Reason("VALID_SHARE_FELL", f"{text}: is there dirt on a lens, dust, or a lamp out?")
+            text = (
+                f"{100 * share:.0f} % of the pixels have a disparity, {100 * usual:.0f} % are usual"
+            )
+            yield Reason(
+                "VALID_SHARE_FELL", f"{text}: is there dirt on a lens, dust, or a lamp out?"
+            )
 
 
 def _images(lines: FrameLines) -> list[str] | None:
@@ -109,22 +126,43 @@ def _valid_share(record: Json) -> float:
 
 def _middles(record: Json) -> F64:
     """Middles of what is seen of the lumps (N, 3) [m]."""
-    return np.array([ore["surface_centroid"]["camera"] for ore in record["ores"]], float).reshape(-1, 3)
+    return np.array([ore["surface_centroid"]["camera"] for ore in record["ores"]], float).reshape(
+        -1, 3
+    )
 
 
 def _confirmed(record: Json, before: F64) -> Json:
-    """The record without targets that the frame before did not show: what flies is elsewhere in each."""
-    new = [id for id, middle in zip((ore["id"] for ore in record["ores"]), _middles(record), strict=True)
-           if not (np.linalg.norm(before - middle, axis=1) < max(SAME_M, SAME_SHARE * middle[2])).any()]  # fmt: skip
+    """The record without targets that the frame before did not show: what flies is elsewhere in
+    each.
+    """
+    new = [id for id, middle in zip((ore["id"] for ore in record["ores"]), _middles(record),
+    strict=True)
+           if not (np.linalg.norm(before - middle, axis=1) < max(SAME_M,
+           SAME_SHARE * middle[2])).any()]  # fmt: skip
     if not set(new) & set(record["targets"]):
         return record
-    reason = {"code": "NOT_CONFIRMED", "detail": "the frame before shows no lump here (health.confirm)"}
-    ores = [ore | {"reasons": [*ore["reasons"], reason]} if ore["id"] in new else ore for ore in record["ores"]]
+    reason = {
+        "code": "NOT_CONFIRMED",
+        "detail": "the frame before shows no lump here (health.confirm)",
+    }
+    ores = [
+        ore | {"reasons": [*ore["reasons"], reason]} if ore["id"] in new else ore
+        for ore in record["ores"]
+    ]
     targets = [id for id in record["targets"] if id not in new]
-    return record | {"ores": ores, "targets": targets, "counts": record["counts"] | {"targets": len(targets)}}
+    return record | {
+        "ores": ores,
+        "targets": targets,
+        "counts": record["counts"] | {"targets": len(targets)},
+    }
 
 
 def _degraded(record: Json, reasons: Iterable[Reason]) -> dict[str, Any]:
     new = [{"code": reason.code, "detail": reason.detail} for reason in reasons]
     counts = record["counts"] | {"targets": 0}
-    return record | {"status": "degraded", "reasons": record["reasons"] + new, "counts": counts, "targets": []}
+    return record | {
+        "status": "degraded",
+        "reasons": record["reasons"] + new,
+        "counts": counts,
+        "targets": [],
+    }

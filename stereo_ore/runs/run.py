@@ -92,7 +92,9 @@ def run(
     return _report(out, recording, indices, chain) if options.report else None
 
 
-def _do_frames(job: batch.Job, indices: range, folder: RunFolder, options: RunOptions, progress: Progress) -> None:
+def _do_frames(
+    job: batch.Job, indices: range, folder: RunFolder, options: RunOptions, progress: Progress
+) -> None:
     """Process what is left of the frames, on this machine or by the workers of a cluster."""
     done, total = folder.done, len(indices)
     todo = indices[done:]
@@ -100,7 +102,11 @@ def _do_frames(job: batch.Job, indices: range, folder: RunFolder, options: RunOp
     progress(done, total)
     with _stoppable():
         scheduler = options.scheduler
-        each = cluster.run(job, todo, scheduler) if scheduler else batch.run(job, todo, options.workers)
+        each = (
+            cluster.run(job, todo, scheduler)
+            if scheduler
+            else batch.run(job, todo, options.workers)
+        )
         for count, lines in enumerate(each, done + 1):
             folder.add(watch.judge(lines))
             progress(count, total)
@@ -116,7 +122,9 @@ def _stoppable() -> Iterator[None]:
         raise
 
 
-def _description(recording: Source, indices: range, chain: Chain, inputs: InputFiles) -> dict[str, Any]:
+def _description(
+    recording: Source, indices: range, chain: Chain, inputs: InputFiles
+) -> dict[str, Any]:
     region = chain.region
     search = {
         "rectangle_px": [region.x0, region.y0, region.x1, region.y1],

@@ -6,13 +6,28 @@ import cv2
 import numpy as np
 
 from stereo_ore.config import CloudConfig
-from stereo_ore.types import F32, I32, Disparity, Mask, PointCloud, RectifiedPair, Region, Surface, Volume
+from stereo_ore.types import (
+    F32,
+    I32,
+    Disparity,
+    Mask,
+    PointCloud,
+    RectifiedPair,
+    Region,
+    Surface,
+    Volume,
+)
 
 
 def reproject(
-    disparity: Disparity, pair: RectifiedPair, volume: Volume | None, config: CloudConfig, sigma_px: float
+    disparity: Disparity,
+    pair: RectifiedPair,
+    volume: Volume | None,
+    config: CloudConfig,
+    sigma_px: float,
 ) -> PointCloud:
-    """The points of all pixels of the matched rectangle, z = fx·B / (d + doffs), cropped to the volume.
+    """The points of all pixels of the matched rectangle, z = fx·B / (d + doffs), cropped to the
+    volume.
 
     Parameters
     ----------
@@ -56,9 +71,11 @@ def reproject(
 
 
 def _contained(depth: F32, x: F32, y: F32, volume: Volume) -> Mask:
-    """Which pixels (h, w), at their depths [m] on rays of slopes x (w,) and y (h,), the volume contains.
+    """Which pixels (h, w), at their depths [m] on rays of slopes x (w,) and y (h,), the volume
+    contains.
 
-    A coordinate in the volume's frame is the depth times a sum of one term of the column and one of the row.
+    A coordinate in the volume's frame is the depth times a sum of one term of the column and one of
+    the row.
     """
     inside = np.ones(depth.shape, np.bool_)
     for row, low, high in zip(volume.T_box_camera, volume.min_m, volume.max_m, strict=False):
@@ -76,7 +93,9 @@ def _rows_columns(index: I32, width: int) -> tuple[I32, I32]:
 
 
 def surface(cloud: PointCloud, keep_points: Mask, pair: RectifiedPair, region: Region) -> Surface:
-    """The kept points laid back into the image, cropped to the matched rectangle that the cloud was made from."""
+    """The kept points laid back into the image, cropped to the matched rectangle that the cloud was
+    made from.
+    """
     height, width = region.y1 - region.y0, region.x1 - region.x0
     kept = np.flatnonzero(keep_points)
     row, column = _rows_columns(cloud.pixel[kept], cloud.image_shape[1])

@@ -1,4 +1,6 @@
-"""The empty screen in a run: where its plane is, whether the camera still stands where it did, what is new on it."""
+"""The empty screen in a run: where its plane is, whether the camera still stands where it did, what
+is new on it.
+"""
 
 from __future__ import annotations
 
@@ -24,9 +26,11 @@ from stereo_ore.types import (
 
 @dataclass(frozen=True)
 class EmptyScreen:
-    """The model of the empty screen, with the bars where the site has them, and the grizzly found in it.
+    """The model of the empty screen, with the bars where the site has them, and the grizzly found
+    in it.
 
-    `registration` is how far from there they were measured: the matcher's own bias, for frames to be rid of it as well.
+    `registration` is how far from there they were measured: the matcher's own bias, for frames to
+    be rid of it as well.
     """
 
     background: Background
@@ -55,13 +59,16 @@ def load(rig: Rig, region: Region, site: Site, config: Config) -> EmptyScreen | 
         disparity = grizzly.corrected(disparity, moved, rig)
         background = replace(background, disparity=disparity.values)
     found = grizzly.find(_surface(disparity, rig, site, config), site, config.grizzly)
-    return EmptyScreen(background, found if site.plane is not None else replace(found, source="background"), moved)
+    return EmptyScreen(
+        background, found if site.plane is not None else replace(found, source="background"), moved
+    )
 
 
 def new_on(empty: EmptyScreen, disparity: Disparity, surface: Surface) -> Surface:
     """The surface without what the empty screen showed already.
 
-    What hides in the shadows of its bars was not measured then; it stays, for its height to be judged.
+    What hides in the shadows of its bars was not measured then; it stays, for its height to be
+    judged.
     """
     height, width = surface.xyz.shape[:2]
     crop = (slice(surface.y0, surface.y0 + height), slice(surface.x0, surface.x0 + width))
@@ -73,5 +80,7 @@ def _surface(disparity: Disparity, rig: Rig, site: Site, config: Config) -> Surf
     """The empty screen in metres; its colours were not kept."""
     black = np.zeros((rig.height, rig.width, 3), np.uint8)
     pair = RectifiedPair(black, black, rig)
-    points: PointCloud = cloud.reproject(disparity, pair, site.volume, config.cloud, config.matching.sigma_px)
+    points: PointCloud = cloud.reproject(
+        disparity, pair, site.volume, config.cloud, config.matching.sigma_px
+    )
     return cloud.surface(points, np.ones(len(points), bool), pair, disparity.region)

@@ -16,16 +16,21 @@ def order(
 ) -> tuple[int, ...]:
     """Ids of the lumps that can be struck, best first.
 
-    Each gets a sum: oversize (half when unknown), height of its strike among the others', its strike's score, less
-    the arm's way to it from the middle of its reach when that is known. Sums are rounded to the configured resolution
-    so that noise does not reorder equals; the lower id goes first among them.
+    Each gets a sum: oversize (half when unknown), height of its strike among the others', its
+    strike's score, less the arm's way to it from the middle of its reach when that is known. Sums
+    are rounded to the configured resolution so that noise does not reorder equals; the lower id
+    goes first among them.
     """
     ids = [i for i, plan in enumerate(plans, 1) if plan.strikes]
     if not ids:
         return ()
     best = [plans[i - 1].strikes[0] for i in ids]
     points = np.array([strike.point for strike in best])
-    up = site.plane.normal if site.plane is not None else -np.mean([strike.direction for strike in best], 0)
+    up = (
+        site.plane.normal
+        if site.plane is not None
+        else -np.mean([strike.direction for strike in best], 0)
+    )
     total = (
         config.oversize_weight * np.array([_urgency(solids[i - 1]) for i in ids])
         + config.height_weight * _over_largest(points @ up - (points @ up).min())
@@ -42,7 +47,9 @@ def _urgency(solid: Solid | None) -> float:
 
 
 def _way(points: F64, site: Site) -> F64:
-    """Distance (N,) [m] of points from the middle of the arm's reach; zero when no reach is given."""
+    """Distance (N,) [m] of points from the middle of the arm's reach; zero when no reach is
+    given.
+    """
     if site.T_arm_camera is None or site.reach_min_m is None or site.reach_max_m is None:
         return np.zeros(len(points))
     middle = 0.5 * (site.reach_min_m + site.reach_max_m)

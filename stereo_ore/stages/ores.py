@@ -14,7 +14,9 @@ def describe(
     plans: tuple[StrikePlan, ...],
     site: Site,
 ) -> tuple[Ore, ...]:
-    """Count and locate the lumps of an ore map, in the camera's and where it is known the arm's frame."""
+    """Count and locate the lumps of an ore map, in the camera's and where it is known the arm's
+    frame.
+    """
     height, width = surface.xyz.shape[:2]
     labels = ore_map.labels[surface.y0 : surface.y0 + height, surface.x0 : surface.x0 + width]
     n = len(solids)

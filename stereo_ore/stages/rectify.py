@@ -1,4 +1,6 @@
-"""Rectification: raw or rectified images of a calibrated rig → a row-aligned pair and its geometry."""
+"""Rectification: raw or rectified images of a calibrated rig → a row-aligned pair and its
+geometry.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +11,22 @@ import cv2
 import numpy as np
 
 from stereo_ore.errors import CalibrationError, FrameError
-from stereo_ore.types import F32, F64, U8, CameraModel, RectifiedPair, Rig, StereoCalibration, StereoPair
+from stereo_ore.types import (
+    F32,
+    F64,
+    U8,
+    CameraModel,
+    RectifiedPair,
+    Rig,
+    StereoCalibration,
+    StereoPair,
+)
 
 Maps = tuple[F32, F32]
 
 WIDEST_VIEW = np.radians(120)
-"""Of a plane onto which a lens of 150° and more is rectified; its pixels near the edge are four times the middle's."""
+"""Of a plane onto which a lens of 150° and more is rectified; its pixels near the edge are four
+times the middle's."""
 
 ROW_TOLERANCE_PX = 0.5
 """Largest row difference between the eyes of images said to be rectified."""
@@ -22,7 +34,8 @@ ROW_TOLERANCE_PX = 0.5
 
 @dataclass(frozen=True)
 class Rectifier:
-    """Geometry after rectification, and the maps that lead there: (x, y) of the source for each pixel, each (H, W).
+    """Geometry after rectification, and the maps that lead there: (x, y) of the source for each
+    pixel, each (H, W).
 
     `left` and `right` are None when the images are rectified already.
     """
@@ -43,13 +56,15 @@ def make_rectifier(calibration: StereoCalibration) -> Rectifier:
     Returns
     -------
     Rectifier
-        For raw images as ``cv2.stereoRectify(…, flags=CALIB_ZERO_DISPARITY, alpha=0)`` at the same size does it; for
-        rectified images the geometry alone, where different principal points make ``doffs``.
+        For raw images as ``cv2.stereoRectify(…, flags=CALIB_ZERO_DISPARITY, alpha=0)`` at the same
+        size does it; for rectified images the geometry alone, where different principal points make
+        ``doffs``.
 
     Raises
     ------
     CalibrationError
-        When "rectified" contradicts the geometry, or the eyes are not side by side with the left one on the left.
+        When "rectified" contradicts the geometry, or the eyes are not side by side with the left
+        one on the left.
     """
     if calibration.images == "rectified":
         return Rectifier(_rig_as_given(calibration))
@@ -76,7 +91,9 @@ def rectify(pair: StereoPair, rectifier: Rectifier) -> RectifiedPair:
             key="image_size",
             remedy="Use the calibration of the recorded resolution",
         )
-    return RectifiedPair(_remap(pair.left, rectifier.left), _remap(pair.right, rectifier.right), rig)
+    return RectifiedPair(
+        _remap(pair.left, rectifier.left), _remap(pair.right, rectifier.right), rig
+    )
 
 
 def _remap(image: U8, maps: Maps | None) -> U8:
@@ -94,9 +111,14 @@ def _rig_as_given(calibration: StereoCalibration) -> Rig:
     row = abs(right.principal_point_px[1] - cy) + abs(right.focal_px[1] / fy - 1) * height / 2
     focal = abs(right.focal_px[0] / fx - 1) * width / 2
     shift = float(np.abs(t[1:]).max() / max(abs(t[0]), 1e-9)) * fx * 0.05
-    if max(tilt, row, focal, shift) > ROW_TOLERANCE_PX or any(left.distortion) or any(right.distortion):
+    if (
+        max(tilt, row, focal, shift) > ROW_TOLERANCE_PX
+        or any(left.distortion)
+        or any(right.distortion)
+    ):
         raise CalibrationError(
-            "images said to be rectified, but the eyes are turned, shifted, distorted or of different focal length",
+            "images said to be rectified, but the eyes are turned, shifted, distorted or of"
+            " different focal length",
             key="images",
             remedy='Set "images: raw", or give the calibration of the rectified images',
         )
@@ -116,19 +138,39 @@ def rectification(calibration: StereoCalibration) -> tuple[F64, F64, F64, F64]:
         if left.projection != right.projection:
             raise CalibrationError("the eyes have different projections", key="left.projection")
         R1, R2, P1, P2, _ = cv2.fisheye.stereoRectify(
-            left.K, _fisheye(left), right.K, _fisheye(right), size, R, t, flags=cv2.CALIB_ZERO_DISPARITY, balance=0.0
+            left.K,
+            _fisheye(left),
+            right.K,
+            _fisheye(right),
+            size,
+            R,
+            t,
+            flags=cv2.CALIB_ZERO_DISPARITY,
+            balance=0.0,
         )
         if not _sees(np.asarray(P1), calibration, 1 / 4, 1 / 4):
             P1, P2 = _widest_plane(calibration, np.asarray(R2, float) @ t)
         return _float64(R1, R2, P1, P2)
     R1, R2, P1, P2, *_ = cv2.stereoRectify(
-        left.K, _pinhole(left), right.K, _pinhole(right), size, R, t, flags=cv2.CALIB_ZERO_DISPARITY, alpha=0
+        left.K,
+        _pinhole(left),
+        right.K,
+        _pinhole(right),
+        size,
+        R,
+        t,
+        flags=cv2.CALIB_ZERO_DISPARITY,
+        alpha=0,
     )
     if not _sees(np.asarray(P1), calibration, 1 / 2, 1 / 10):
         raise CalibrationError(
-            f"the rectified camera sees nothing: f {P1[0, 0]:.4g} px, centre {P1[0, 2]:.4g}, {P1[1, 2]:.4g} px",
+            f"the rectified camera sees nothing: f {P1[0, 0]:.4g} px, centre {P1[0, 2]:.4g},"
+            f" {P1[1, 2]:.4g} px",
             key="left.distortion",
-            remedy="Is the lens a fisheye (projection: equidistant), or the model fitted to the middle only?",
+            remedy=(
+                "Is the lens a fisheye (projection: equidistant), or the model fitted to the middle"
+                " only?"
+            ),
         )
     return _float64(R1, R2, P1, P2)
 
@@ -145,9 +187,11 @@ def _sees(P1: F64, calibration: StereoCalibration, off_centre: float, least_foca
 
 
 def _widest_plane(calibration: StereoCalibration, t_right_left: F64) -> tuple[F64, F64]:
-    """Projections onto a plane of `WIDEST_VIEW` along the image's longer side, the centre in its middle.
+    """Projections onto a plane of `WIDEST_VIEW` along the image's longer side, the centre in its
+    middle.
 
-    For lenses that see so much that no plane shows it: OpenCV's choice puts the centre far outside the image then.
+    For lenses that see so much that no plane shows it: OpenCV's choice puts the centre far outside
+    the image then.
     """
     width, height = calibration.image_size
     focal = max(width, height) / 2 / np.tan(WIDEST_VIEW / 2)
@@ -155,8 +199,8 @@ def _widest_plane(calibration: StereoCalibration, t_right_left: F64) -> tuple[F6
     for eye in (calibration.left, calibration.right):
         if (limit := _turns_back(eye)) < corner:
             raise CalibrationError(
-                f"a lens whose model holds to {np.degrees(2 * limit):.0f}° only can't be shown on a plane of "
-                f"{np.degrees(2 * corner):.0f}° from corner to corner",
+                f"a lens whose model holds to {np.degrees(2 * limit):.0f}° only can't be shown on a"
+                f" plane of {np.degrees(2 * corner):.0f}° from corner to corner",
                 key="distortion",
                 remedy="Calibrate again with the board also near the edges of the image",
             )
@@ -170,20 +214,29 @@ def _turns_back(eye: CameraModel) -> float:
     """The angle [rad] from which on the Kannala-Brandt radius θ + k1 θ³ + k2 θ⁵ + … falls again."""
     angle = np.linspace(0, np.pi / 2, 500)
     powers = np.arange(1, 5)
-    slope = 1 + (np.array(eye.distortion or (0.0,) * 4) * (2 * powers + 1) * angle[:, None] ** (2 * powers)).sum(1)
+    slope = 1 + (
+        np.array(eye.distortion or (0.0,) * 4) * (2 * powers + 1) * angle[:, None] ** (2 * powers)
+    ).sum(1)
     falls = np.flatnonzero(slope <= 0)
     return float(angle[falls[0]]) if len(falls) else float(np.pi)
 
 
 def _float64(R1: Any, R2: Any, P1: Any, P2: Any) -> tuple[F64, F64, F64, F64]:
-    return np.asarray(R1, float), np.asarray(R2, float), np.asarray(P1, float), np.asarray(P2, float)
+    return (
+        np.asarray(R1, float),
+        np.asarray(R2, float),
+        np.asarray(P1, float),
+        np.asarray(P2, float),
+    )
 
 
 def _rig_from_projections(calibration: StereoCalibration, P1: F64, P2: F64) -> Rig:
     width, height = calibration.image_size
     if abs(P2[1, 3]) > abs(P2[0, 3]):
         raise CalibrationError(
-            "the eyes are one above the other", key="right_from_left.translation_m", remedy="Turn the rig by 90°"
+            "the eyes are one above the other",
+            key="right_from_left.translation_m",
+            remedy="Turn the rig by 90°",
         )
     baseline = -float(P2[0, 3] / P2[0, 0])
     _check_baseline(baseline)
@@ -203,7 +256,9 @@ def _check_baseline(baseline_m: float) -> None:
 
 def _maps(camera: CameraModel, R: F64, P: F64, size: tuple[int, int]) -> Maps:
     if camera.projection == "equidistant":
-        maps = cv2.fisheye.initUndistortRectifyMap(camera.K, _fisheye(camera), R, P, size, cv2.CV_32FC1)
+        maps = cv2.fisheye.initUndistortRectifyMap(
+            camera.K, _fisheye(camera), R, P, size, cv2.CV_32FC1
+        )
     else:
         maps = cv2.initUndistortRectifyMap(camera.K, _pinhole(camera), R, P, size, cv2.CV_32FC1)
     return np.asarray(maps[0], np.float32), np.asarray(maps[1], np.float32)

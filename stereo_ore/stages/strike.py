@@ -32,7 +32,8 @@ from stereo_ore.types import (
 PATCH_PIXELS = 1500
 """Larger lumps are searched with a stride, for time."""
 NOISE_SPREAD = 2.0
-"""How much neighbouring pixels' common errors raise a plane's tilt over that from independent ones."""
+"""How much neighbouring pixels' common errors raise a plane's tilt over that from independent
+ones."""
 NORMAL_SIGMA = 0.07
 """Tilt error [rad] wanted of a fitted plane; the window grows until noise allows it."""
 LARGEST_WINDOW = 0.35
@@ -44,7 +45,8 @@ CRITERIA = {
     "TOO_STEEP": "no face within the permitted angle of the tool's axis",
     "OUT_OF_REACH": "no admissible face within the arm's reach",
 }
-"""What a place must satisfy, in the order of the tests; the first that nothing passes is the reason."""
+"""What a place must satisfy, in the order of the tests; the first that nothing passes is the
+reason."""
 
 
 def plans(
@@ -57,14 +59,16 @@ def plans(
 ) -> tuple[StrikePlan, ...]:
     """Choose the strikes of every lump.
 
-    A place is admissible when a patch of the tool's diameter around it is measured, flat, facing within the permitted
-    angle of the tool's axis (the screen's normal), away from edges, neighbours and bars, and within reach. The best is
-    flat, faces the tool and lies near the normal through the centre of gravity.
+    A place is admissible when a patch of the tool's diameter around it is measured, flat, facing
+    within the permitted angle of the tool's axis (the screen's normal), away from edges, neighbours
+    and bars, and within reach. The best is flat, faces the tool and lies near the normal through
+    the centre of gravity.
 
     Returns
     -------
     tuple
-        Entry i belongs to id i + 1: strikes best first, or none and the reason, a key of `CRITERIA`.
+        Entry i belongs to id i + 1: strikes best first, or none and the reason, a key of
+        `CRITERIA`.
     """
     h, w = surface.sigma_z.shape
     labels = ore_map.labels[surface.y0 : surface.y0 + h, surface.x0 : surface.x0 + w]
@@ -81,8 +85,8 @@ def plans(
 class Patches:
     """Planes around a lump's N measured pixels.
 
-    Point (N, 3) and normal (N, 3); by pixel (N,), in metres, the residual `rms`, the distance to the lump's `edge` and
-    the depth noise `sigma_z`; `share` of the window that was measured.
+    Point (N, 3) and normal (N, 3); by pixel (N,), in metres, the residual `rms`, the distance to
+    the lump's `edge` and the depth noise `sigma_z`; `share` of the window that was measured.
     """
 
     xyz: F64
@@ -93,7 +97,9 @@ class Patches:
     share: F64
 
 
-def _patches(surface: Surface, labels: I16, box: tuple[slice, ...], number: int, config: StrikeConfig) -> Patches:
+def _patches(
+    surface: Surface, labels: I16, box: tuple[slice, ...], number: int, config: StrikeConfig
+) -> Patches:
     stride = max(1, round(float(np.sqrt((labels[box] == number).sum() / PATCH_PIXELS))))
     rows, columns = (slice(s.start, s.stop, stride) for s in box)
     lump, z = labels[rows, columns] == number, np.ascontiguousarray(surface.xyz[rows, columns, 2])
@@ -120,12 +126,16 @@ def _window(z_m: F32, sigma_z: F64, pixels: int, rig: Rig, config: StrikeConfig)
     if not len(z_m):
         return 3
     pixel_m = float(np.median(z_m)) / rig.fx
-    steady = np.sqrt(np.sqrt(12.0) * NOISE_SPREAD * float(np.median(sigma_z)) / (NORMAL_SIGMA * pixel_m))
+    steady = np.sqrt(
+        np.sqrt(12.0) * NOISE_SPREAD * float(np.median(sigma_z)) / (NORMAL_SIGMA * pixel_m)
+    )
     side = min(max(config.tool_diameter_m / pixel_m, steady), LARGEST_WINDOW * np.sqrt(pixels))
     return 2 * int(max(side, 3.0) / 2) + 1
 
 
-def _plan(patches: Patches, solid: Solid, plane: Plane, site: Site, config: StrikeConfig) -> StrikePlan:
+def _plan(
+    patches: Patches, solid: Solid, plane: Plane, site: Site, config: StrikeConfig
+) -> StrikePlan:
     cos = patches.normal @ plane.normal
     passes = _tests(patches, cos, plane, site, config)
     admissible = np.ones(len(cos), bool)
@@ -142,7 +152,9 @@ def _none(code: str) -> StrikePlan:
     return StrikePlan((), (Reason(code, CRITERIA[code]),))
 
 
-def _tests(patches: Patches, cos: F64, plane: Plane, site: Site, config: StrikeConfig) -> dict[str, Mask]:
+def _tests(
+    patches: Patches, cos: F64, plane: Plane, site: Site, config: StrikeConfig
+) -> dict[str, Mask]:
     """Which pixels (N,) pass each of `CRITERIA`."""
     keep_off = 0.5 * config.tool_diameter_m + config.clearance_m
     above_bars = plane.height(patches.xyz) > config.clearance_m
@@ -156,7 +168,9 @@ def _tests(patches: Patches, cos: F64, plane: Plane, site: Site, config: StrikeC
 
 
 def _flat_enough(patches: Patches, config: StrikeConfig) -> F64:
-    """Residual allowed [m]: the tool's tolerance, with the depth noise that no face can be free of."""
+    """Residual allowed [m]: the tool's tolerance, with the depth noise that no face can be free
+    of.
+    """
     return np.asarray(np.hypot(config.max_roughness_m, 2.0 * patches.sigma_z))
 
 
@@ -173,7 +187,9 @@ def _within_reach(xyz: F64, site: Site) -> Mask:
 
 
 def _scores(patches: Patches, cos: F64, solid: Solid, plane: Plane, config: StrikeConfig) -> F64:
-    """0…1 by slope, lever about the centre of gravity and roughness, each a bell curve of its own width."""
+    """0…1 by slope, lever about the centre of gravity and roughness, each a bell curve of its own
+    width.
+    """
     offset = patches.xyz - solid.centre_of_gravity
     lever = np.sqrt(np.maximum((offset**2).sum(1) - (offset @ plane.normal) ** 2, 0.0))
     slope = np.arccos(np.clip(cos, -1.0, 1.0))
@@ -186,7 +202,9 @@ def _scores(patches: Patches, cos: F64, solid: Solid, plane: Plane, config: Stri
 
 
 def _ranked(patches: Patches, score: F64, cos: F64, config: StrikeConfig) -> list[Strike]:
-    """The best strike and alternates, each at least a tool's diameter and a half from those before."""
+    """The best strike and alternates, each at least a tool's diameter and a half from those
+    before.
+    """
     found: list[Strike] = []
     free = np.ones(len(score), bool)
     while len(found) <= config.alternates and free.any():

@@ -1,7 +1,8 @@
-"""What lies around a voxel in the image, beyond the windows of the matcher's cues: doubts, depth and light.
+"""What lies around a voxel in the image, beyond the windows of the matcher's cues: doubts, depth
+and light.
 
-A wrong match is often smooth inside, and shows only against what is around: the shadow beside an edge, a patch where
-most pixels found nothing, an eye that saw less light.
+A wrong match is often smooth inside, and shows only against what is around: the shadow beside an
+edge, a patch where most pixels found nothing, an eye that saw less light.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ from stereo_ore.types import (
 )
 
 STEP = 4
-"""Windows are many times this wide: sums over a copy reduced by it tell as much as over all pixels."""
+"""Windows are many times this wide: sums over a copy reduced by it tell as much as over all
+pixels."""
 
 FLOOR_PX = np.float32(0.05)
 """Added before a cue's logarithm."""
@@ -70,7 +72,9 @@ def look_around(voxels: VoxelCloud, disparity: Disparity, pair: RectifiedPair) -
         lambda: _light(pair, disparity, small),
     )
     found = pool().map(lambda part: dict(part()), parts)
-    return replace(voxels, cues={**voxels.cues, **{name: cue for part in found for name, cue in part.items()}})
+    return replace(
+        voxels, cues={**voxels.cues, **{name: cue for part in found for name, cue in part.items()}}
+    )
 
 
 Found = Iterator[tuple[str, F32]]
@@ -82,7 +86,10 @@ def _cells(voxels: VoxelCloud, disparity: Disparity, pair: RectifiedPair) -> Ind
     region = disparity.region
     height, width = region.y1 - region.y0, region.x1 - region.x0
     u, v = np.rint(pair.rig.project(voxels.xyz)).astype(np.intp).T
-    row, column = np.clip(v - region.y0, 0, height - 1) // STEP, np.clip(u - region.x0, 0, width - 1) // STEP
+    row, column = (
+        np.clip(v - region.y0, 0, height - 1) // STEP,
+        np.clip(u - region.x0, 0, width - 1) // STEP,
+    )
     return np.asarray(row * -(-width // STEP) + column)
 
 
@@ -90,7 +97,9 @@ def _doubts(disparity: Disparity, at: Index) -> Found:
     """Means of the pixel cues over all pixels of the windows, known or not."""
     for name in PIXEL_CUES:
         image = _reduce(_plain(disparity.cues[name]))
-        yield from ((f"{name}_around_{size}", _mean(image, size).take(at)) for size in CONTEXT_WINDOWS_PX)
+        yield from (
+            (f"{name}_around_{size}", _mean(image, size).take(at)) for size in CONTEXT_WINDOWS_PX
+        )
 
 
 def _doubts_of_known(disparity: Disparity, seen: F32, known: F32, at: Index) -> Found:
@@ -98,7 +107,9 @@ def _doubts_of_known(disparity: Disparity, seen: F32, known: F32, at: Index) -> 
     share = {size: _mean(known, size) for size in CONTEXT_WINDOWS_PX}
     for name in KNOWN_CUES:
         cue = _plain(disparity.cues[name])
-        image = _reduce(np.where(seen, cue if name.startswith("support") else _log(cue), np.float32(0)))
+        image = _reduce(
+            np.where(seen, cue if name.startswith("support") else _log(cue), np.float32(0))
+        )
         yield from (
             (f"{name}_known_{size}", _mean(image, size).take(at) / (share[size].take(at) + UNKNOWN))
             for size in CONTEXT_WINDOWS_PX
@@ -109,7 +120,10 @@ def _doubts_of_known(disparity: Disparity, seen: F32, known: F32, at: Index) -> 
 def _depth(d: F32, known: F32, own: F32, at: Index) -> Found:
     """The voxel's disparity against mean and deviation of those around."""
     middle = np.float32(np.median(own))
-    first, second = _reduce(np.where(d > 0, d - middle, 0)), _reduce(np.where(d > 0, (d - middle) ** 2, 0))
+    first, second = (
+        _reduce(np.where(d > 0, d - middle, 0)),
+        _reduce(np.where(d > 0, (d - middle) ** 2, 0)),
+    )
     for size in CONTEXT_WINDOWS_PX:
         total = _mean(known, size).take(at) + UNKNOWN
         mean = _mean(first, size).take(at) / total
@@ -121,7 +135,9 @@ def _depth(d: F32, known: F32, own: F32, at: Index) -> Found:
 
 
 def _steps(d: F32, seen: F32, own: F32, at: Index) -> Found:
-    """How much nearer and farther things lie around: beside an edge is the shadow that only one eye sees."""
+    """How much nearer and farther things lie around: beside an edge is the shadow that only one eye
+    sees.
+    """
     nearest, farthest = (
         _extreme(np.where(seen, d, -FAR_PX), np.maximum),
         _extreme(np.where(seen, d, FAR_PX), np.minimum),
@@ -153,8 +169,12 @@ def _log(cue: F32) -> F32:
 
 
 def _reduce(image: F32) -> F32:
-    """Means over squares of `STEP` pixels; those at the right and the lower rim repeat their last pixels."""
-    return np.asarray(cv2.resize(_padded(image), None, fx=1 / STEP, fy=1 / STEP, interpolation=cv2.INTER_AREA))
+    """Means over squares of `STEP` pixels; those at the right and the lower rim repeat their last
+    pixels.
+    """
+    return np.asarray(
+        cv2.resize(_padded(image), None, fx=1 / STEP, fy=1 / STEP, interpolation=cv2.INTER_AREA)
+    )
 
 
 def _extreme(image: F32, of: np.ufunc) -> F32:
@@ -168,7 +188,9 @@ def _padded(image: F32) -> F32:
     height, width = image.shape
     if height % STEP == width % STEP == 0:
         return image
-    return np.asarray(cv2.copyMakeBorder(image, 0, -height % STEP, 0, -width % STEP, cv2.BORDER_REPLICATE))
+    return np.asarray(
+        cv2.copyMakeBorder(image, 0, -height % STEP, 0, -width % STEP, cv2.BORDER_REPLICATE)
+    )
 
 
 def _mean(image: F32, size: int) -> F32:

@@ -1,4 +1,6 @@
-"""The anchored voxel grid: one sorted cell for the points that fall into it, and the way back to them."""
+"""The anchored voxel grid: one sorted cell for the points that fall into it, and the way back to
+them.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,8 @@ MAX_BITS = 62
 
 
 def voxel_size(config: VoxelConfig, rig: Rig, volume: Volume | None, cloud: PointCloud) -> float:
-    """Edge of a voxel [m]: the configured one, or `pixels` × the size of a pixel at the scene's middle depth.
+    """Edge of a voxel [m]: the configured one, or `pixels` × the size of a pixel at the scene's
+    middle depth.
 
     The middle depth is the cloud's median, or that of the volume's corners when the cloud is empty.
     """
@@ -109,7 +112,8 @@ def _keys(along: F32, size_m: float) -> Int64:
 def _group(keys: Int64) -> tuple[I32, I32]:
     """The rank of each key among the different ones, and how often each of these occurs.
 
-    Key and position are packed into one number, because a plain sort is several times faster than an argsort.
+    Key and position are packed into one number, because a plain sort is several times faster than
+    an argsort.
     """
     bits = max(len(keys) - 1, 1).bit_length()
     packed = np.sort((keys << bits) | np.arange(len(keys), dtype=np.int64))

@@ -1,7 +1,7 @@
 """The values that flow from stage to stage: frozen, their shapes checked when they are made.
 
-Units are metres, pixels, radians and nanoseconds. The frame is the rectified left camera (x right, y down, z forward)
-unless a name says otherwise. A missing measurement is NaN.
+Units are metres, pixels, radians and nanoseconds. The frame is the rectified left camera (x right,
+y down, z forward) unless a name says otherwise. A missing measurement is NaN.
 """
 
 from stereo_ore.types.arrays import (
@@ -21,7 +21,15 @@ from stereo_ore.types.arrays import (
     Mask,
     check_shape,
 )
-from stereo_ore.types.geometry import CameraModel, Plane, Region, Rig, Site, StereoCalibration, Volume
+from stereo_ore.types.geometry import (
+    CameraModel,
+    Plane,
+    Region,
+    Rig,
+    Site,
+    StereoCalibration,
+    Volume,
+)
 from stereo_ore.types.results import FrameResult, Ore, Reason, Solid, Status, Strike, StrikePlan
 from stereo_ore.types.stages import (
     Background,

@@ -14,7 +14,8 @@ from stereo_ore.types.arrays import F64, Mask, check_shape
 
 @dataclass(frozen=True)
 class CameraModel:
-    """Pinhole intrinsics of one eye: fx, fy, cx, cy [px] and OpenCV distortion coefficients (0, 4, 5, 8, 12 or 14).
+    """Pinhole intrinsics of one eye: fx, fy, cx, cy [px] and OpenCV distortion coefficients (0, 4,
+    5, 8, 12 or 14).
 
     `projection` "equidistant" takes 4 coefficients of the Kannala-Brandt model (`cv2.fisheye`).
     """
@@ -51,10 +52,11 @@ class StereoCalibration:
 
 @dataclass(frozen=True)
 class Rig:
-    """Geometry of a rectified pair: rows aligned, depth z = fx·B / (d + doffs), doffs = cx_right − cx.
+    """Geometry of a rectified pair: rows aligned, depth z = fx·B / (d + doffs), doffs = cx_right −
+    cx.
 
-    `disparity_offset_px` is the calibration's own correction: it is added to each measured disparity by the matcher,
-    so a `Disparity` already holds it.
+    `disparity_offset_px` is the calibration's own correction: it is added to each measured
+    disparity by the matcher, so a `Disparity` already holds it.
     """
 
     width: int
@@ -79,7 +81,11 @@ class Rig:
 
     def depth_sigma(self, depth_m: npt.ArrayLike, disparity_sigma_px: float) -> F64:
         """Standard deviation of depth [m]: σ_z = z² / (fx·B) · σ_d."""
-        return np.asarray(depth_m, dtype=np.float64) ** 2 / (self.fx * self.baseline_m) * disparity_sigma_px
+        return (
+            np.asarray(depth_m, dtype=np.float64) ** 2
+            / (self.fx * self.baseline_m)
+            * disparity_sigma_px
+        )
 
     def project(self, xyz: npt.ArrayLike) -> F64:
         """Pixel coordinates (u, v) of (..., 3) points; NaN behind the camera."""
@@ -126,8 +132,11 @@ class Volume:
     def contains(self, xyz: npt.NDArray[Any]) -> Mask:
         """True for each of (..., 3) camera-frame points inside."""
         inside = np.ones(xyz.shape[:-1], bool)
-        # Row by row: for thin matrices that is faster than a product, which would also wake a pool of threads.
-        for row, low, high in zip(self.T_box_camera.astype(xyz.dtype), self.min_m, self.max_m, strict=False):
+        # Row by row: for thin matrices that is faster than a product, which would also wake a pool
+        # of threads.
+        for row, low, high in zip(
+            self.T_box_camera.astype(xyz.dtype), self.min_m, self.max_m, strict=False
+        ):
             p = xyz[..., 0] * row[0] + xyz[..., 1] * row[1] + xyz[..., 2] * row[2] + row[3]
             inside &= (p >= low) & (p <= high)
         return inside
@@ -160,7 +169,8 @@ class Region:
 
 @dataclass(frozen=True)
 class Site:
-    """Where the camera looks, and the arm; every part may be unknown (None). Plane and volume are in the camera frame.
+    """Where the camera looks, and the arm; every part may be unknown (None). Plane and volume are
+    in the camera frame.
 
     `reach_min_m` and `reach_max_m` (3,) bound the tool's tip in the arm frame.
     """

@@ -23,7 +23,8 @@ from stereo_ore.types.stages import (
 )
 
 Status = Literal["ok", "degraded", "empty", "failed"]
-"""Only an "ok" frame has targets; a "degraded" one has a cloud, but something speaks against acting on it."""
+"""Only an "ok" frame has targets; a "degraded" one has a cloud, but something speaks against acting
+on it."""
 
 
 @dataclass(frozen=True)
@@ -36,12 +37,13 @@ class Reason:
 
 @dataclass(frozen=True)
 class Solid:
-    """A lump as a body: all of it, with a stated model of the sides that no camera saw (camera frame, metres).
+    """A lump as a body: all of it, with a stated model of the sides that no camera saw (camera
+    frame, metres).
 
-    `axes` (3, 3) are the box's unit axes as rows, longest first; `extent_m` the box's lengths along them; `size_m`
-    longest, middle and shortest dimension. `sigma_m` (3,) is the standard deviation of the centre of gravity.
-    `vertices` (V, 3) is the convex hull of the modelled solid, for pictures. `arm` is the same solid in the arm's
-    frame, where that is known.
+    `axes` (3, 3) are the box's unit axes as rows, longest first; `extent_m` the box's lengths along
+    them; `size_m` longest, middle and shortest dimension. `sigma_m` (3,) is the standard deviation
+    of the centre of gravity. `vertices` (V, 3) is the convex hull of the modelled solid, for
+    pictures. `arm` is the same solid in the arm's frame, where that is known.
     """
 
     centre_of_gravity: F64
@@ -146,7 +148,9 @@ class Ore:
 
 @dataclass(frozen=True)
 class FrameResult:
-    """All that one frame gave, with the arrays that pictures and stage files are made from (None when not reached)."""
+    """All that one frame gave, with the arrays that pictures and stage files are made from (None
+    when not reached).
+    """
 
     name: str
     index: int

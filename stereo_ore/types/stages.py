@@ -11,14 +11,19 @@ import numpy as np
 from stereo_ore.types.arrays import F32, F64, I16, I32, U8, Mask, check_shape
 from stereo_ore.types.geometry import Plane, Region, Rig
 
-StampSource = Literal["header", "csv", "container", "file name", "modification time", "arrival", "options"]
-"""Where a frame's stamp comes from: a message's header, a table of stamps beside the images (EuRoC), a video's or
-bag's own time, a name, a file, the clock of this machine, or ``--start-time`` and ``--fps``."""
+StampSource = Literal[
+    "header", "csv", "container", "file name", "modification time", "arrival", "options"
+]
+"""Where a frame's stamp comes from: a message's header, a table of stamps beside the images
+(EuRoC), a video's or bag's own time, a name, a file, the clock of this machine, or ``--start-time``
+and ``--fps``."""
 
 
 @dataclass(frozen=True)
 class StereoPair:
-    """One recorded pair as read: BGR images, (H, W, 3) uint8, of one size; its stamp in ns since 1970, UTC."""
+    """One recorded pair as read: BGR images, (H, W, 3) uint8, of one size; its stamp in ns since
+    1970, UTC.
+    """
 
     left: U8
     right: U8
@@ -47,11 +52,12 @@ class RectifiedPair:
 
 @dataclass(frozen=True)
 class Disparity:
-    """Left-to-right disparity, (H, W) float32 [px], NaN where there is none, with the matcher's doubts.
+    """Left-to-right disparity, (H, W) float32 [px], NaN where there is none, with the matcher's
+    doubts.
 
-    `confidence` (H, W) float32 is the probability that a disparity is within a pixel of the truth, NaN where there is
-    none. `cues` maps names of `CUES` to (h, w) float32 arrays of the region's pixels (any subset); `diagnostics` are
-    counts and settings used.
+    `confidence` (H, W) float32 is the probability that a disparity is within a pixel of the truth,
+    NaN where there is none. `cues` maps names of `CUES` to (h, w) float32 arrays of the region's
+    pixels (any subset); `diagnostics` are counts and settings used.
     """
 
     values: F32
@@ -69,7 +75,9 @@ class Disparity:
 
 @dataclass(frozen=True)
 class Background:
-    """The empty screen: median disparity (H, W) float32 [px], NaN = none, its noise [px], and from how many frames."""
+    """The empty screen: median disparity (H, W) float32 [px], NaN = none, its noise [px], and from
+    how many frames.
+    """
 
     disparity: F32
     sigma: F32
@@ -82,7 +90,8 @@ class Background:
 
 @dataclass(frozen=True)
 class PointCloud:
-    """Points of one image: xyz (N, 3) float32 [m], flat pixel index v·W + u (N,), BGR (N, 3), depth sigma (N,) [m].
+    """Points of one image: xyz (N, 3) float32 [m], flat pixel index v·W + u (N,), BGR (N, 3), depth
+    sigma (N,) [m].
 
     `image_shape` is (H, W). Points are in ascending pixel order.
     """
@@ -107,10 +116,11 @@ class PointCloud:
 class VoxelCloud:
     """Points gathered in an anchored grid, sorted by voxel key.
 
-    xyz (M, 3) float32 [m] is the mean of a voxel's points, `count` (M,) how many, `inverse` (N,) the voxel of each
-    point. `sigma_z` (M,) [m] is the depth noise expected of one of its points. `pixel_m` (M,) [m] is the size of a
-    pixel at its depth. `cues` maps names of `CUES` to (M,) means over the points, and is empty for a cloud that no
-    camera made (`sigma_z` and `pixel_m` are then zero).
+    xyz (M, 3) float32 [m] is the mean of a voxel's points, `count` (M,) how many, `inverse` (N,)
+    the voxel of each point. `sigma_z` (M,) [m] is the depth noise expected of one of its points.
+    `pixel_m` (M,) [m] is the size of a pixel at its depth. `cues` maps names of `CUES` to (M,)
+    means over the points, and is empty for a cloud that no camera made (`sigma_z` and `pixel_m` are
+    then zero).
     """
 
     xyz: F32
@@ -133,7 +143,9 @@ class VoxelCloud:
 
 
 def single_voxels(points: F32) -> VoxelCloud:
-    """Return a cloud that no camera of ours made, (N, 3) [m], with each point a voxel of its own."""
+    """Return a cloud that no camera of ours made, (N, 3) [m], with each point a voxel of its
+    own.
+    """
     zero, rows = np.zeros(len(points), np.float32), np.arange(len(points), dtype=np.int32)
     return VoxelCloud(points, np.ones(len(points), np.int32), rows, 0.0, zero, zero)
 
@@ -151,7 +163,9 @@ def centred_cloud(xyz: F64) -> VoxelCloud:
 
 @dataclass(frozen=True)
 class FilterResult:
-    """Which points to keep and how noisy each looks: keep (M,) bool, score (M,) float32, higher is noisier."""
+    """Which points to keep and how noisy each looks: keep (M,) bool, score (M,) float32, higher is
+    noisier.
+    """
 
     keep: Mask
     score: F32
@@ -164,10 +178,11 @@ class FilterResult:
 
 @dataclass(frozen=True)
 class Bars:
-    """The bars of a grizzly in its plane: each bar's centre line is direction·s + across·(phase + n·pitch).
+    """The bars of a grizzly in its plane: each bar's centre line is direction·s + across·(phase +
+    n·pitch).
 
-    `direction` and `across` are unit vectors (3,) in the plane (camera frame); `phase_m` is measured along `across`
-    from the camera frame's origin projected into the plane.
+    `direction` and `across` are unit vectors (3,) in the plane (camera frame); `phase_m` is
+    measured along `across` from the camera frame's origin projected into the plane.
     """
 
     direction: F64
@@ -181,9 +196,10 @@ class Bars:
 class Registration:
     """How the bars' disparity differs from that of the plane where they are known to be.
 
-    `field_px` (3,) is the difference c·(1, x, y) [px] at x = (u − cx)/fx, y = (v − cy)/fy; `offset_m` how far the bars
-    seem to lie above that plane, in the median; `tilt_rad` the angle between both planes; `worst_m` the largest
-    distance between them over the bars that were seen; `px_m` the height that a pixel of disparity is there.
+    `field_px` (3,) is the difference c·(1, x, y) [px] at x = (u − cx)/fx, y = (v − cy)/fy;
+    `offset_m` how far the bars seem to lie above that plane, in the median; `tilt_rad` the angle
+    between both planes; `worst_m` the largest distance between them over the bars that were seen;
+    `px_m` the height that a pixel of disparity is there.
     """
 
     field_px: F64
@@ -198,7 +214,9 @@ class Registration:
 
 @dataclass(frozen=True)
 class Grizzly:
-    """The screen: plane of the bar tops, where it came from, its residual, and the bars when they are known."""
+    """The screen: plane of the bar tops, where it came from, its residual, and the bars when they
+    are known.
+    """
 
     plane: Plane
     source: Literal["site", "auto", "background"]
@@ -211,10 +229,11 @@ class Grizzly:
 
 @dataclass(frozen=True)
 class Surface:
-    """Kept points laid back into the image, cropped to the matched rectangle whose corner is (x0, y0).
+    """Kept points laid back into the image, cropped to the matched rectangle whose corner is (x0,
+    y0).
 
-    xyz (h, w, 3) float32 [m], NaN where no point was kept; bgr (h, w, 3); sigma_z (h, w) float32 [m].
-    Full-image pixel of crop pixel (row i, column j): (u, v) = (x0 + j, y0 + i).
+    xyz (h, w, 3) float32 [m], NaN where no point was kept; bgr (h, w, 3); sigma_z (h, w) float32
+    [m]. Full-image pixel of crop pixel (row i, column j): (u, v) = (x0 + j, y0 + i).
     """
 
     xyz: F32
@@ -230,19 +249,26 @@ class Surface:
         check_shape(self, "sigma_z", self.sigma_z, *self.xyz.shape[:2])
 
     def on_rays(self, vector: F64, step: int = 1) -> F32:
-        """Product of a vector with the rays (x/z, y/z, 1) of every `step`-th pixel, (h, w): linear in the pixel."""
+        """Product of a vector with the rays (x/z, y/z, 1) of every `step`-th pixel, (h, w): linear
+        in the pixel.
+        """
         h, w = self.sigma_z.shape
         x = (self.x0 + np.arange(0, w, step) - self.rig.cx) / self.rig.fx
         y = (self.y0 + np.arange(0, h, step) - self.rig.cy) / self.rig.fy
-        across, down = (vector[0] * x).astype(np.float32), (vector[1] * y + vector[2]).astype(np.float32)
+        across, down = (
+            (vector[0] * x).astype(np.float32),
+            (vector[1] * y + vector[2]).astype(np.float32),
+        )
         return np.asarray(across[None, :] + down[:, None])
 
 
 @dataclass(frozen=True)
 class OreMap:
-    """Lumps in the image: labels (H, W) int16, 0 = no ore, filled silhouettes; ids 1…n without gaps.
+    """Lumps in the image: labels (H, W) int16, 0 = no ore, filled silhouettes; ids 1…n without
+    gaps.
 
-    `cut` are the ids whose outline the image border cuts; `diagnostics` counts what was dropped and why.
+    `cut` are the ids whose outline the image border cuts; `diagnostics` counts what was dropped and
+    why.
     """
 
     labels: I16

@@ -1,9 +1,9 @@
-"""Fuzzes parsers with atheris (``pip install atheris``), guided by what their code does with each input.
+"""Fuzzes parsers with atheris (``pip install atheris``), guided by what their code does with each
+input.
 
-``python tests/fuzz/campaign.py WORK PARSER… [--minutes 10]`` works in the folder WORK: ``WORK/PARSER/found`` gets one
-input and its traceback a find, ``WORK/PARSER/corpus`` all inputs that reached something new. ``--keep`` copies some
-of those to the corpus beside this file.
-"""
+``python tests/fuzz/campaign.py WORK PARSER… [--minutes 10]`` works in the folder WORK:
+``WORK/PARSER/found`` gets one input and its traceback a find, ``WORK/PARSER/corpus`` all inputs
+that reached something new. ``--keep`` copies some of those to the corpus beside this file."""
 
 import argparse
 import hashlib
@@ -24,7 +24,9 @@ def fuzz(name: str, work: Path, options: list[str]) -> None:
     """Run atheris on one parser; returns never."""
     import atheris
 
-    with atheris.instrument_imports(include=["stereo_ore", "yaml", "rosbags", "configparser", "json"]):
+    with atheris.instrument_imports(
+        include=["stereo_ore", "yaml", "rosbags", "configparser", "json"]
+    ):
         sys.path.insert(0, str(HERE))
         from parsers import PARSERS
 
@@ -52,12 +54,22 @@ def campaign(name: str, work: Path, minutes: float) -> dict[str, object]:
     """Fuzz one parser in a process of its own for some minutes; what came of it."""
     work.mkdir(parents=True, exist_ok=True)
     (work / "corpus").mkdir(exist_ok=True)
-    options = [str(work / "corpus"), str(HERE / "corpus" / name), f"-max_total_time={round(60 * minutes)}"]
-    options += [f"-rss_limit_mb={MEMORY_MB}", f"-timeout={TIMEOUT_S}", f"-artifact_prefix={work}/crash-"]
+    options = [
+        str(work / "corpus"),
+        str(HERE / "corpus" / name),
+        f"-max_total_time={round(60 * minutes)}",
+    ]
+    options += [
+        f"-rss_limit_mb={MEMORY_MB}",
+        f"-timeout={TIMEOUT_S}",
+        f"-artifact_prefix={work}/crash-",
+    ]
     options += [f"-max_len={LARGEST_BYTES}", "-print_final_stats=1"]
     start = time.monotonic()
     with (work / "log").open("wb") as log:
-        code = subprocess.call([sys.executable, __file__, "--one", name, str(work), *options], stdout=log, stderr=log)
+        code = subprocess.call(
+            [sys.executable, __file__, "--one", name, str(work), *options], stdout=log, stderr=log
+        )
     stats = dict(
         line.removeprefix("stat::").split(":", 1)
         for line in (work / "log").read_text(errors="replace").splitlines()
@@ -67,11 +79,18 @@ def campaign(name: str, work: Path, minutes: float) -> dict[str, object]:
     finds += sorted(file.name for file in work.glob("crash-*"))
     executed = int(stats.get("number_of_executed_units", 0))
     minutes_run = round((time.monotonic() - start) / 60, 1)
-    return {"parser": name, "minutes": minutes_run, "executed": executed, "exit": code, "finds": finds}
+    return {
+        "parser": name,
+        "minutes": minutes_run,
+        "executed": executed,
+        "exit": code,
+        "finds": finds,
+    }
 
 
 def keep(name: str, work: Path) -> None:
-    """Copy to the corpus beside this file some inputs that reached something new, from the smallest to the largest."""
+    """Copy to the corpus beside this file some inputs that reached something new, from the smallest
+    to the largest."""
     found = sorted((work / "corpus").iterdir(), key=lambda file: (file.stat().st_size, file.name))
     found = [file for file in found if file.stat().st_size <= KEPT_BYTES]
     for file in found[:: -(-len(found) // KEPT_FILES) or 1]:

@@ -1,8 +1,8 @@
-"""Every parser of the program, and what it may do with a file: return something, or refuse it by a typed error.
+"""Every parser of the program, and what it may do with a file: return something, or refuse it by a
+typed error.
 
-Whatever else leaves it (another exception, a warning) is a find. `corpus/NAME` holds small files for each: valid ones
-to begin from, and what fuzzing has kept because it reached something new.
-"""
+Whatever else leaves it (another exception, a warning) is a find. `corpus/NAME` holds small files
+for each: valid ones to begin from, and what fuzzing has kept because it reached something new."""
 
 import shutil
 from collections.abc import Callable

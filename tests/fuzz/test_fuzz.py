@@ -1,4 +1,5 @@
-"""Every parser against damaged files: its corpus again, and new damage by hypothesis. `campaign.py` looks for more."""
+"""Every parser against damaged files: its corpus again, and new damage by hypothesis. `campaign.py`
+looks for more."""
 
 import json
 from collections.abc import Callable
@@ -18,13 +19,16 @@ from stereo_ore.io.results import Results, parse_record
 from stereo_ore.record import record, to_line
 from stereo_ore.types import FrameResult, Grizzly, Plane, Reason, Site
 
-SCHEMA = json.loads((Path(__file__).parents[2] / "stereo_ore" / "schema" / "frame-2.json").read_text())
+SCHEMA = json.loads(
+    (Path(__file__).parents[2] / "stereo_ore" / "schema" / "frame-2.json").read_text()
+)
 VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
 SLOW = {"mcap": 40, "rosbag1": 40, "video": 40, "svo2": 40, "foxglove": 40}
 """Examples for parsers whose libraries take their time."""
 
 VALID = {
-    name: sorted(file for file in (CORPUS / name).iterdir() if file.suffix or file.name == "users") for name in PARSERS
+    name: sorted(file for file in (CORPUS / name).iterdir() if file.suffix or file.name == "users")
+    for name in PARSERS
 }
 """Files to begin from; what fuzzing added has no suffix."""
 
@@ -54,7 +58,9 @@ def test_the_corpus_is_small() -> None:
 def mutated(data: bytes) -> st.SearchStrategy[bytes]:
     """The file with up to four cuts, doublings, overwritten bytes or numbers."""
     place = st.integers(0, max(len(data) - 1, 0))
-    word = st.sampled_from((b"0", b"-1", b"nan", b"1e400", b"9" * 30, b"\xff" * 8, b"\0" * 8, b"[" * 99, b"\n", b'"'))
+    word = st.sampled_from(
+        (b"0", b"-1", b"nan", b"1e400", b"9" * 30, b"\xff" * 8, b"\0" * 8, b"[" * 99, b"\n", b'"')
+    )
     edit = st.tuples(place, st.integers(0, 40), st.one_of(st.binary(max_size=12), word))
 
     def apply(edits: list[tuple[int, int, bytes]]) -> bytes:
@@ -88,7 +94,9 @@ results = st.builds(
     index=st.integers(0, 2**31),
     stamp_ns=st.none() | st.integers(0, 2**63 - 1),
     status=st.sampled_from(("ok", "degraded", "empty", "failed")),
-    reasons=st.lists(st.builds(Reason, st.sampled_from(("UNPAIRED", "NO_ORE")), texts), max_size=3).map(tuple),
+    reasons=st.lists(
+        st.builds(Reason, st.sampled_from(("UNPAIRED", "NO_ORE")), texts), max_size=3
+    ).map(tuple),
     counts=st.just(dict.fromkeys(SCHEMA["properties"]["counts"]["required"], 3)),
     grizzly=st.none() | st.just(Grizzly(Plane(np.array([0.0, 0.0, -1.0]), -1.0), "auto", None)),
 )
@@ -104,12 +112,22 @@ def test_a_record_of_any_result_is_read_back(result: FrameResult) -> None:
 
 def values() -> st.SearchStrategy[Any]:
     leaf = st.none() | st.booleans() | st.integers() | numbers | texts | st.just(10**400)
-    return st.recursive(leaf, lambda v: st.lists(v, max_size=3) | st.dictionaries(texts, v, max_size=3), max_leaves=5)
+    return st.recursive(
+        leaf,
+        lambda v: st.lists(v, max_size=3) | st.dictionaries(texts, v, max_size=3),
+        max_leaves=5,
+    )
 
 
 def places(value: Any, way: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     """Ways to every part of a JSON value."""
-    inner: Any = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    inner: Any = (
+        value.items()
+        if isinstance(value, dict)
+        else enumerate(value)
+        if isinstance(value, list)
+        else ()
+    )
     return [way, *(place for key, part in inner for place in places(part, (*way, key)))]
 
 
@@ -133,17 +151,30 @@ def test_a_changed_record_is_refused_where_the_schema_refuses_it(data: st.DataOb
     def put(inner: Any, key: Any) -> None:
         inner[key] = new
 
-    changed = change(good, way, put if data.draw(st.booleans()) else lambda inner, key: inner.pop(key))
+    changed = change(
+        good, way, put if data.draw(st.booleans()) else lambda inner, key: inner.pop(key)
+    )
     ours, theirs = record_fault(changed), VALIDATOR.is_valid(changed)
     if ours is None:
         assert theirs
     elif theirs:
-        # Stricter in three things: whole numbers are integers of 64 bit, numbers finite, names those of files.
+        # Stricter in three things: whole numbers are integers of 64 bit, numbers finite, names
+        # those of files.
         assert way == ("frame",) or isinstance(new, int | float)
 
 
 def test_no_keyword_of_the_schema_is_passed_over() -> None:
-    known = {*KEYWORDS, "$ref", "$defs", "$schema", "$id", "title", "description", "required", "additionalProperties"}
+    known = {
+        *KEYWORDS,
+        "$ref",
+        "$defs",
+        "$schema",
+        "$id",
+        "title",
+        "description",
+        "required",
+        "additionalProperties",
+    }
 
     def keywords(schema: Any) -> set[str]:
         if isinstance(schema, list):
@@ -151,7 +182,11 @@ def test_no_keyword_of_the_schema_is_passed_over() -> None:
         if not isinstance(schema, dict):
             return set()
         named = [*schema.get("properties", {}).values(), *schema.get("$defs", {}).values()]
-        rest = [part for key, part in schema.items() if key not in ("properties", "$defs", "const", "enum")]
+        rest = [
+            part
+            for key, part in schema.items()
+            if key not in ("properties", "$defs", "const", "enum")
+        ]
         return set(schema).union(*map(keywords, [*named, *rest]))
 
     assert keywords(SCHEMA) <= known

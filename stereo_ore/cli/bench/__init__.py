@@ -12,7 +12,11 @@ SUBVERBS = ("faults", "filter", "speed", "stereo")
 
 def register(app: typer.Typer) -> None:
     """Add the verb and its sub-verbs to the command line."""
-    bench = typer.Typer(no_args_is_help=True, help="Quality and speed against baselines.", rich_markup_mode="markdown")
+    bench = typer.Typer(
+        no_args_is_help=True,
+        help="Quality and speed against baselines.",
+        rich_markup_mode="markdown",
+    )
     for name in SUBVERBS:
         importlib.import_module(f"stereo_ore.cli.bench.{name}").register(bench)
     app.add_typer(bench, name="bench")

@@ -19,20 +19,29 @@ def register(app: typer.Typer) -> None:
 
 
 def faults(
-    family: Annotated[list[str] | None, typer.Option(help="Families of scenes, in turn; see `synth`.")] = None,
+    family: Annotated[
+        list[str] | None, typer.Option(help="Families of scenes, in turn; see `synth`.")
+    ] = None,
     count: Annotated[int, typer.Option(min=1, help="How many scenes.")] = 10,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the first scene; each next one counts up.")] = 0,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Seed of the first scene; each next one counts up.")
+    ] = 0,
     size: Annotated[str, typer.Option(help="VGA, HD720, HD1080 or 2K.")] = "VGA",
     scenes: Annotated[
-        list[Path] | None, typer.Option(help="Folders of a scene with truth, in the place of made-up ones.")
+        list[Path] | None,
+        typer.Option(help="Folders of a scene with truth, in the place of made-up ones."),
     ] = None,
-    only: Annotated[str, typer.Option(help="Faults whose name this regular expression is found in.")] = "",
-    settings: Annotated[list[str] | None, typer.Option("--set", help="One parameter: key.sub=value.")] = None,
+    only: Annotated[
+        str, typer.Option(help="Faults whose name this regular expression is found in.")
+    ] = "",
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", help="One parameter: key.sub=value.")
+    ] = None,
 ) -> None:
     """Plant wrong calibrations, sites, eyes and images in scenes whose truth is known.
 
-    Ends with code 3 when a frame that is ok has a wrong target (`wrong_ok_frames`: a strike more than 30 mm, or 3 % of
-    its distance, off each lump), or a sound frame was refused.
+    Ends with code 3 when a frame that is ok has a wrong target (`wrong_ok_frames`: a strike more
+    than 30 mm, or 3 % of its distance, off each lump), or a sound frame was refused.
 
     Example: `stereo-ore bench faults --family paper --family large --count 100`
     """

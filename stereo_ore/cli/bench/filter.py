@@ -27,15 +27,28 @@ def register(app: typer.Typer) -> None:
 
 def filter_(
     out: Annotated[Path, typer.Option(help="Folder for bench-filter.json, .md and the pictures.")],
-    seeds: Annotated[int, typer.Option(min=1, max=100, help="Seeds of each cell of the paper's protocol.")] = 5,
-    stereo_seeds: Annotated[int, typer.Option(min=0, max=100, help="Synthetic stereo scenes of each family.")] = 2,
+    seeds: Annotated[
+        int, typer.Option(min=1, max=100, help="Seeds of each cell of the paper's protocol.")
+    ] = 5,
+    stereo_seeds: Annotated[
+        int, typer.Option(min=0, max=100, help="Synthetic stereo scenes of each family.")
+    ] = 2,
     family: Annotated[list[str] | None, typer.Option(help="Families of synthetic scenes.")] = None,
-    scenes: Annotated[Path | None, typer.Option(help="Folder of scene folders with truth, judged too.")] = None,
-    scans: Annotated[Path | None, typer.Option(help="Folder of clean scans: kept? and with planted outliers?")] = None,
-    sets: Annotated[Path | None, typer.Option(help="Folder of real pairs with true disparities.")] = None,
-    readme: Annotated[Path | None, typer.Option(help="Put the tables between its `bench filter` markers.")] = None,
+    scenes: Annotated[
+        Path | None, typer.Option(help="Folder of scene folders with truth, judged too.")
+    ] = None,
+    scans: Annotated[
+        Path | None, typer.Option(help="Folder of clean scans: kept? and with planted outliers?")
+    ] = None,
+    sets: Annotated[
+        Path | None, typer.Option(help="Folder of real pairs with true disparities.")
+    ] = None,
+    readme: Annotated[
+        Path | None, typer.Option(help="Put the tables between its `bench filter` markers.")
+    ] = None,
 ) -> None:
-    """Compare filters: quality (equation 7) and time. Baselines get the best of a grid on each cloud; ours do not.
+    """Compare filters: quality (equation 7) and time. Baselines get the best of a grid on each
+    cloud; ours do not.
 
     Example: `stereo-ore bench filter --out bench --scenes scenes --readme docs/benchmarks.md`
     """
@@ -45,7 +58,9 @@ def filter_(
 
     make_folder(out)
     scanned = clean.read_scans(scans) if scans else []
-    stereo_total, stereo_clouds = _stereo(stereo_seeds, family or ["paper", "large", "hard"], scenes)
+    stereo_total, stereo_clouds = _stereo(
+        stereo_seeds, family or ["paper", "large", "hard"], scenes
+    )
     paper = _judge(labelled.paper_clouds(range(seeds)), 9 * seeds, "paper's protocol")
     stereo = _judge(stereo_clouds, stereo_total, "stereo clouds")
     first = next(labelled.paper_clouds(range(1)))
@@ -73,10 +88,16 @@ def _judge(clouds: Iterator[LabelledCloud], total: int, title: str) -> dict[str,
     progress = track(clouds, title, total=total, console=Console(stderr=True), disable=not shown)
     rows = bench.judge_all(progress)
     cells = bench.means(rows)
-    return {"cells": cells, "summary": bench.summary(cells) if cells else {}, "rows": [asdict(row) for row in rows]}
+    return {
+        "cells": cells,
+        "summary": bench.summary(cells) if cells else {},
+        "rows": [asdict(row) for row in rows],
+    }
 
 
-def _stereo(seeds: int, families: list[str], scenes: Path | None) -> tuple[int, Iterator[LabelledCloud]]:
+def _stereo(
+    seeds: int, families: list[str], scenes: Path | None
+) -> tuple[int, Iterator[LabelledCloud]]:
     """How many stereo clouds there will be, and the clouds, made one at a time."""
     from stereo_ore.lab.bench import labelled
 
@@ -110,4 +131,6 @@ def _draw(labelled: LabelledCloud, out: Path) -> None:
     methods = ("none", "radius", "statistical", "paper", "paper-tuned", "adaptive")
     results = {method: filters.apply(cloud, FilterConfig(method=method)) for method in methods}
     filter_pictures.outlier_factors(cloud.xyz, results["paper"].score, out / "outlier-factors.png")
-    filter_pictures.side_by_side(cloud.xyz, {name: r.keep for name, r in results.items()}, out / "side-by-side.png")
+    filter_pictures.side_by_side(
+        cloud.xyz, {name: r.keep for name, r in results.items()}, out / "side-by-side.png"
+    )

@@ -24,16 +24,31 @@ def register(app: typer.Typer) -> None:
 
 
 def speed(
-    out: Annotated[Path, typer.Option(help="Folder for bench-speed.json, .md, .png and the scenes, which are kept.")],
-    size: Annotated[list[str] | None, typer.Option(help="Image sizes: VGA, HD720, HD1080, 2K; default all.")] = None,
-    rounds: Annotated[int, typer.Option(min=1, max=100, help="Timed rounds of each frame; medians count.")] = 7,
+    out: Annotated[
+        Path,
+        typer.Option(help="Folder for bench-speed.json, .md, .png and the scenes, which are kept."),
+    ],
+    size: Annotated[
+        list[str] | None, typer.Option(help="Image sizes: VGA, HD720, HD1080, 2K; default all.")
+    ] = None,
+    rounds: Annotated[
+        int, typer.Option(min=1, max=100, help="Timed rounds of each frame; medians count.")
+    ] = 7,
     points: Annotated[
-        int, typer.Option(min=0, help="Points of the largest cloud: up to 10000000; 0 leaves clouds out.")
+        int,
+        typer.Option(
+            min=0, help="Points of the largest cloud: up to 10000000; 0 leaves clouds out."
+        ),
     ] = 1_000_000,
-    limit: Annotated[float, typer.Option(min=0, help="Seconds above which a filter is left out.")] = 120.0,
-    readme: Annotated[Path | None, typer.Option(help="Put the tables between its `bench speed` markers.")] = None,
+    limit: Annotated[
+        float, typer.Option(min=0, help="Seconds above which a filter is left out.")
+    ] = 120.0,
+    readme: Annotated[
+        Path | None, typer.Option(help="Put the tables between its `bench speed` markers.")
+    ] = None,
 ) -> None:
-    """Time and memory of each stage beside OpenCV's plain SGBM; the filter on growing clouds beside the usual ones.
+    """Time and memory of each stage beside OpenCV's plain SGBM; the filter on growing clouds beside
+    the usual ones.
 
     Example: `stereo-ore bench speed --out bench --readme docs/benchmarks.md`
     """
@@ -46,7 +61,9 @@ def speed(
     sizes = size or list(synth.SIZES)
     if unknown := set(sizes) - set(synth.SIZES):
         raise ConfigError(
-            f"{unknown.pop()!r} is no image size", key="--size", remedy=f"Known: {', '.join(synth.SIZES)}"
+            f"{unknown.pop()!r} is no image size",
+            key="--size",
+            remedy=f"Known: {', '.join(synth.SIZES)}",
         )
     make_folder(out)
     frames = []
@@ -59,7 +76,11 @@ def speed(
     log.info("filters on clouds of %s points", ", ".join(f"{n:,}" for n in clouds) or "no")
     grown = growth.measure(clouds, limit)
     machine = _machine()
-    document = {"machine": machine, "frames": [asdict(f) for f in frames], "growth": [asdict(g) for g in grown]}
+    document = {
+        "machine": machine,
+        "frames": [asdict(f) for f in frames],
+        "growth": [asdict(g) for g in grown],
+    }
     text = speed_tables.markdown(frames, grown, machine)
     (out / "bench-speed.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
     (out / "bench-speed.md").write_text(text, encoding="utf-8")
@@ -78,6 +99,7 @@ def _machine() -> dict[str, Any]:
 
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")
     return {
-        "cores": os.cpu_count(), "processor": platform.processor() or platform.machine(), "load": round(load, 1),
+        "cores": os.cpu_count(), "processor": platform.processor() or platform.machine(),
+        "load": round(load, 1),
         "opencv": cv2.__version__, "python": platform.python_version(),
     }  # fmt: skip

@@ -19,15 +19,28 @@ def register(app: typer.Typer) -> None:
 
 
 def stereo(
-    folders: Annotated[list[Path], typer.Argument(help="Folders that hold Middlebury sets or scenes with truth.")],
+    folders: Annotated[
+        list[Path], typer.Argument(help="Folders that hold Middlebury sets or scenes with truth.")
+    ],
     out: Annotated[Path | None, typer.Option(help="Folder for bench-stereo.json and .md.")] = None,
-    repeats: Annotated[int, typer.Option(min=1, max=50, help="Timed runs of each matcher; the median counts.")] = 3,
+    repeats: Annotated[
+        int, typer.Option(min=1, max=50, help="Timed runs of each matcher; the median counts.")
+    ] = 3,
     grid: Annotated[
-        bool, typer.Option(help="Beside 3WAY, HH and WLS at the best of a grid too, at equal density; takes minutes.")
+        bool,
+        typer.Option(
+            help=(
+                "Beside 3WAY, HH and WLS at the best of a grid too, at equal density; takes"
+                " minutes."
+            )
+        ),
     ] = False,
-    readme: Annotated[Path | None, typer.Option(help="Put the tables between its `bench stereo` markers.")] = None,
+    readme: Annotated[
+        Path | None, typer.Option(help="Put the tables between its `bench stereo` markers.")
+    ] = None,
 ) -> None:
-    """Compare matchers: errors over all, seen and ore pixels, density, time. OpenCV's run with their sample settings.
+    """Compare matchers: errors over all, seen and ore pixels, density, time. OpenCV's run with
+    their sample settings.
 
     What our confidence says is held against what is true. Missing pixels count as bad everywhere.
 

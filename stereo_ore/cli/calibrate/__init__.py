@@ -9,7 +9,9 @@ from stereo_ore.cli.calibrate import background, files, hand_eye, judge, make
 
 def register(app: typer.Typer) -> None:
     """Add the verbs to the command line."""
-    group = typer.Typer(no_args_is_help=True, help="Make and judge the YAML files of camera and site.")
+    group = typer.Typer(
+        no_args_is_help=True, help="Make and judge the YAML files of camera and site."
+    )
     group.command("import")(files.import_)
     group.command()(files.show)
     group.command()(make.stereo)

@@ -8,7 +8,17 @@ from typing import Annotated
 
 import typer
 
-from stereo_ore.cli.calibrate.options import CalibFile, Eyes, Images, Lens, Size, Unit, load_any, parse_size, writing
+from stereo_ore.cli.calibrate.options import (
+    CalibFile,
+    Eyes,
+    Images,
+    Lens,
+    Size,
+    Unit,
+    load_any,
+    parse_size,
+    writing,
+)
 
 log = logging.getLogger(__name__)
 
@@ -21,7 +31,9 @@ def import_(
     unit: Unit = None,
     eyes: Eyes = None,
     projection: Lens = None,
-    to: Annotated[str | None, typer.Option("--to", help="Convert a ZED to this resolution.")] = None,
+    to: Annotated[
+        str | None, typer.Option("--to", help="Convert a ZED to this resolution.")
+    ] = None,
     name: Annotated[str | None, typer.Option("--name", help="Free text for `camera`.")] = None,
 ) -> None:
     """Write any known calibration format as native YAML.

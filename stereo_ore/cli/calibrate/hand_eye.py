@@ -23,29 +23,44 @@ log = logging.getLogger(__name__)
 
 
 def hand_eye(
-    calib: Annotated[Path, typer.Option("--calib", help="Calibration of the camera, in any known format.")],
+    calib: Annotated[
+        Path, typer.Option("--calib", help="Calibration of the camera, in any known format.")
+    ],
     out: Annotated[Path, typer.Option("--out", help="Site YAML to write.")],
-    source: Annotated[Path | None, typer.Argument(help="With --poses: recorded pairs of the board.")] = None,
+    source: Annotated[
+        Path | None, typer.Argument(help="With --poses: recorded pairs of the board.")
+    ] = None,
     points: Annotated[Path | None, typer.Option(help="CSV of touched points.")] = None,
     poses: Annotated[Path | None, typer.Option(help="CSV of the arm's pose for each pair.")] = None,
     table: Annotated[
-        str | None, typer.Option(help="What --poses holds, as the error names it: zyx-deg,mm and the like.")
+        str | None,
+        typer.Option(help="What --poses holds, as the error names it: zyx-deg,mm and the like."),
     ] = None,
-    board: Annotated[str | None, typer.Option(help="Inner corners along the two sides: CxR.")] = None,
+    board: Annotated[
+        str | None, typer.Option(help="Inner corners along the two sides: CxR.")
+    ] = None,
     square_mm: Annotated[float | None, typer.Option(help="Side of a square, measured.")] = None,
     marker_mm: Annotated[float | None, typer.Option(help="ChArUco: side of a marker.")] = None,
-    dictionary: Annotated[str, typer.Option(help="ChArUco: dictionary of cv2.aruco.")] = "DICT_5X5_100",
+    dictionary: Annotated[
+        str, typer.Option(help="ChArUco: dictionary of cv2.aruco.")
+    ] = "DICT_5X5_100",
     mount: Annotated[Literal["fixed", "tool"], typer.Option(help="Where the camera is.")] = "fixed",
     size: Size = None,
     site: Annotated[Path | None, typer.Option(help="Site file to take the rest from.")] = None,
     limit_mm: Annotated[
         float | None,
-        typer.Option(help="No site file and exit code 3 when the residual (RMS) is greater; else from the images."),
+        typer.Option(
+            help=(
+                "No site file and exit code 3 when the residual (RMS) is greater; else from the"
+                " images."
+            )
+        ),
     ] = None,
 ) -> None:
     """Find where the camera is in the arm's frame, from touched points or from poses with a board.
 
-    Example: `stereo-ore calibrate hand-eye --points touched.csv --calib ours.yaml --site site.yaml --out new.yaml`
+    Example: `stereo-ore calibrate hand-eye --points touched.csv --calib ours.yaml --site site.yaml
+    --out new.yaml`
     """
     from stereo_ore.calibrate.tables import read_pose_table, read_touched
     from stereo_ore.calibrate.touched import fit_touched
@@ -59,7 +74,9 @@ def hand_eye(
         result: HandEyeResult | None = fit_touched(read_touched(points), calibration)
     elif poses is not None and source is not None and board is not None and square_mm is not None:
         target = board_of(board, square_mm, marker_mm, dictionary)
-        result, why = _from_board(source, target, read_pose_table(poses), table, calibration, mount, limit_mm)
+        result, why = _from_board(
+            source, target, read_pose_table(poses), table, calibration, mount, limit_mm
+        )
     else:
         raise typer.BadParameter("give --points, or SOURCE with --poses, --board and --square-mm")
     if result is not None:
@@ -79,7 +96,9 @@ def _from_board(
     mount: Mount,
     limit_mm: float | None,
 ) -> tuple[HandEyeResult | None, str]:
-    """The fit, if there is one; and, where it does not explain the poses, what the table seems to hold."""
+    """The fit, if there is one; and, where it does not explain the poses, what the table seems to
+    hold.
+    """
     import numpy as np
 
     from stereo_ore.calibrate.hand_eye import board_poses, fit_hand_eye
@@ -88,11 +107,15 @@ def _from_board(
 
     views = _arm_views(source, board, table)
     used = [index for index, _ in views]
-    rows = type(table)(tuple(table.names[i] for i in used), table.places[used], table.rotations[used])
+    rows = type(table)(
+        tuple(table.names[i] for i in used), table.places[used], table.rotations[used]
+    )
     default = "xyzw" if rows.rotations.shape[1] == 4 else "rotvec-rad"
     reading = parse_reading(code) if code else Reading(default)
     result, fault = None, None
-    degrees = reading.rotation.endswith("-rad") and np.abs(rows.rotations).max(initial=0) > 2 * np.pi
+    degrees = (
+        reading.rotation.endswith("-rad") and np.abs(rows.rotations).max(initial=0) > 2 * np.pi
+    )
     if not degrees:
         try:
             result = fit_hand_eye(_posed(views, rows, reading), board, calibration, mount)
@@ -103,7 +126,10 @@ def _from_board(
     boards, own_mm = board_poses(_posed(views, rows, reading), board, calibration)
     why = _explain(rows, boards, limit_mm or limit_from(own_mm), mount, reading)
     if not why and degrees:
-        why = "numbers beyond 2π in columns of radians: are they degrees? No reading of the table fits the board"
+        why = (
+            "numbers beyond 2π in columns of radians: are they degrees? No reading of the table"
+            " fits the board"
+        )
     if fault is not None and not why:
         raise fault
     return result, why
@@ -121,24 +147,35 @@ def _explain(table: PoseTable, boards: list, limit_mm: float, mount: Mount, trie
         return ""
     reading, left = best
     remedy = "mend the arm's axes first" if reading.mirror else f"say --table {reading.code}"
-    return f"the table holds no {tried.words}; it fits to {1000 * left:.1f} mm as {reading.words}: {remedy}"
+    return (
+        f"the table holds no {tried.words}; it fits to {1000 * left:.1f} mm as {reading.words}:"
+        f" {remedy}"
+    )
 
 
 def _arm_views(source: Path, board: Board, table: PoseTable) -> list[tuple[int, ArmView]]:
-    """Rows of the table with the pairs of a recording in which both eyes see the board; poses are put in later."""
+    """Rows of the table with the pairs of a recording in which both eyes see the board; poses are
+    put in later.
+    """
     import numpy as np
 
     from stereo_ore.calibrate.hand_eye import ArmView
     from stereo_ore.io.calibration.pose_names import match_names
 
     if not board.has_one_reading:
-        problem = "a chessboard whose columns and rows add to an even number looks the same turned by 180°"
-        raise CalibrationError(problem, key="--board", remedy="Use one with an odd sum (9x6), or ChArUco")
+        problem = (
+            "a chessboard whose columns and rows add to an even number looks the same turned by"
+            " 180°"
+        )
+        raise CalibrationError(
+            problem, key="--board", remedy="Use one with an odd sum (9x6), or ChArUco"
+        )
     views, _ = find_views(source, board)
     rows = match_names(table.names, [view.name for view in views])
     if any(table.names[row] != name for name, row in rows.items()):
         log.info(
-            "names put together by their numbers: %s", ", ".join(f"{n} = {table.names[r]}" for n, r in rows.items())
+            "names put together by their numbers: %s",
+            ", ".join(f"{n} = {table.names[r]}" for n, r in rows.items()),
         )
     for view in views:
         if view.name not in rows:
@@ -157,7 +194,10 @@ def _posed(views: list[tuple[int, ArmView]], table: PoseTable, reading: Reading)
 
     from stereo_ore.io.calibration.readings import poses
 
-    return [replace(view, T_arm_tool=T) for (_, view), T in zip(views, poses(table, reading), strict=True)]
+    return [
+        replace(view, T_arm_tool=T)
+        for (_, view), T in zip(views, poses(table, reading), strict=True)
+    ]
 
 
 def _fits(result: HandEyeResult, limit_mm: float | None) -> bool:
@@ -169,19 +209,27 @@ def _no_fit(result: HandEyeResult | None, limit_mm: float | None) -> str:
         return "no pose of the camera fits"
     limit = result.limit_mm if limit_mm is None else limit_mm
     if not result.explains:
-        return f"no site file: {len(result.dropped)} of {len(result.names)} do not agree with the others"
+        return (
+            f"no site file: {len(result.dropped)} of {len(result.names)} do not agree with the"
+            " others"
+        )
     return (
-        f"no site file: RMS {result.rms_mm:.1f} mm, more than the {limit:.1f} mm that the images allow; "
-        "check names, units and axes of the table, or say --limit-mm for an arm that is less certain"
+        f"no site file: RMS {result.rms_mm:.1f} mm, more than the {limit:.1f} mm that the images"
+        " allow; check names, units and axes of the table, or say --limit-mm for an arm that is"
+        " less certain"
     )
 
 
 def _show(result: HandEyeResult) -> None:
     for name, residual, used in zip(result.names, result.residual_mm, result.used, strict=True):
-        typer.echo(f"{name:<20} {residual:8.1f} mm{'' if used else '  dropped: does not agree with the others'}")
+        typer.echo(
+            f"{name:<20} {residual:8.1f}"
+            f" mm{'' if used else '  dropped: does not agree with the others'}"
+        )
     used_count = int(result.used.sum())
     typer.echo(
-        f"\n{used_count} of {len(result.names)} used, RMS {result.rms_mm:.1f} mm, greatest {result.max_mm:.1f} mm"
+        f"\n{used_count} of {len(result.names)} used, RMS {result.rms_mm:.1f} mm, greatest"
+        f" {result.max_mm:.1f} mm"
     )
 
 

@@ -16,8 +16,12 @@ if TYPE_CHECKING:
 
 
 def check(
-    source: Annotated[Path, typer.Argument(help="Recorded pairs of a still scene, in any known layout.")],
-    calib: Annotated[Path, typer.Option("--calib", help="Calibration to judge, in any known format.")],
+    source: Annotated[
+        Path, typer.Argument(help="Recorded pairs of a still scene, in any known layout.")
+    ],
+    calib: Annotated[
+        Path, typer.Option("--calib", help="Calibration to judge, in any known format.")
+    ],
     frame: Annotated[int, typer.Option(min=0, help="Which pair, counted from 0.")] = 0,
     known: Annotated[
         list[str] | None, typer.Option(help="Pixel in the left image and its distance: U,V,METRES.")
@@ -27,11 +31,15 @@ def check(
     unit: Unit = None,
     eyes: Eyes = None,
     projection: Lens = None,
-    picture: Annotated[Path | None, typer.Option(help="PNG of the row differences to write.")] = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="PNG of the row differences to write.")
+    ] = None,
 ) -> None:
-    """Judge a calibration by your own pair; ends with exit code 3 when it is wrong or can't be judged.
+    """Judge a calibration by your own pair; ends with exit code 3 when it is wrong or can't be
+    judged.
 
-    Example: `stereo-ore calibrate check recordings/today --calib calib/ours.yaml --known 640,360,2.41`
+    Example: `stereo-ore calibrate check recordings/today --calib calib/ours.yaml --known
+    640,360,2.41`
     """
     from stereo_ore.calibrate.check import check_pair
     from stereo_ore.calibrate.check_report import draw, report
@@ -42,7 +50,9 @@ def check(
     points = [_known(text) for text in known or ()]
     recording = open_source(source)
     if frame >= len(recording.names):
-        raise SourceError(f"has {len(recording.names)} frames, no frame {frame}", file=source, key="--frame")
+        raise SourceError(
+            f"has {len(recording.names)} frames, no frame {frame}", file=source, key="--frame"
+        )
     pair = recording.read(frame)
     recorded = (pair.left.shape[1], pair.left.shape[0])
     calibration = load_any(calib, images, size, unit, eyes, projection, recorded)
@@ -63,5 +73,7 @@ def _known(text: str) -> Known:
     except ValueError:
         raise CalibrationError(f"{text!r} is not U,V,METRES", key="--known") from None
     if not (distance > 0 and isfinite(u + v + distance)):
-        raise CalibrationError(f"{text!r}: the distance must be positive, all finite", key="--known")
+        raise CalibrationError(
+            f"{text!r}: the distance must be positive, all finite", key="--known"
+        )
     return Known(u, v, distance)

@@ -29,14 +29,19 @@ def stereo(
     square_mm: Annotated[float, typer.Option(help="Side of a square, measured.")],
     out: Annotated[Path, typer.Option("--out", help="Native YAML to write.")],
     marker_mm: Annotated[float | None, typer.Option(help="ChArUco: side of a marker.")] = None,
-    dictionary: Annotated[str, typer.Option(help="ChArUco: dictionary of cv2.aruco.")] = "DICT_5X5_100",
-    coefficients: Annotated[Literal["4", "5", "8"], typer.Option(help="Distortion coefficients.")] = "5",
+    dictionary: Annotated[
+        str, typer.Option(help="ChArUco: dictionary of cv2.aruco.")
+    ] = "DICT_5X5_100",
+    coefficients: Annotated[
+        Literal["4", "5", "8"], typer.Option(help="Distortion coefficients.")
+    ] = "5",
     picture: Annotated[Path | None, typer.Option(help="PNG of the coverage to write.")] = None,
     name: Annotated[str, typer.Option("--name", help="Free text for `camera`.")] = "",
 ) -> None:
     """Calibrate a camera from recorded pairs of a chessboard or ChArUco board.
 
-    Example: `stereo-ore calibrate stereo recordings/board --board 9x6 --square-mm 25 --out calib/ours.yaml`
+    Example: `stereo-ore calibrate stereo recordings/board --board 9x6 --square-mm 25 --out
+    calib/ours.yaml`
     """
     from dataclasses import replace
 
@@ -59,7 +64,9 @@ def board_of(sides: str, square_mm: float, marker_mm: float | None, dictionary: 
     from stereo_ore.calibrate.detect import Board
 
     columns, rows = two_numbers(sides.lower(), "x", "--board")
-    return Board(columns, rows, square_mm / 1000, None if marker_mm is None else marker_mm / 1000, dictionary)
+    return Board(
+        columns, rows, square_mm / 1000, None if marker_mm is None else marker_mm / 1000, dictionary
+    )
 
 
 def find_views(source: Path, board: Board) -> tuple[list[BoardView], tuple[int, int]]:
@@ -79,7 +86,9 @@ def find_views(source: Path, board: Board) -> tuple[list[BoardView], tuple[int, 
             continue
         height, width = pair.left.shape[:2]
         if size not in (None, (width, height)):
-            views.append(BoardView(name, reason=f"images of {width}×{height} px, the others have {size}"))
+            views.append(
+                BoardView(name, reason=f"images of {width}×{height} px, the others have {size}")
+            )
             continue
         size = width, height
         views.append(find_view(name, *_grey(pair), board))
@@ -94,7 +103,8 @@ def find_views(source: Path, board: Board) -> tuple[list[BoardView], tuple[int, 
 
 
 def _refuse_squares(recording: Source, board: Board) -> None:
-    """Say so where a board of one corner less or more each way is seen: squares were counted, or too few corners.
+    """Say so where a board of one corner less or more each way is seen: squares were counted, or
+    too few corners.
 
     Raises
     ------
@@ -113,7 +123,8 @@ def _refuse_squares(recording: Source, board: Board) -> None:
         for index, name in enumerate(recording.names[:_TRIED]):
             if find_view(name, *_grey(recording.read(index)), other).corners is not None:
                 raise CalibrationError(
-                    f"no board of {board.columns}x{board.rows} inner corners is seen, but one of {columns}x{rows}",
+                    f"no board of {board.columns}x{board.rows} inner corners is seen, but one of"
+                    f" {columns}x{rows}",
                     key="--board",
                     remedy=f"Count inner corners{remark}: --board {columns}x{rows}",
                 )
@@ -123,5 +134,8 @@ def _grey(pair: StereoPair) -> tuple[U8, U8]:
     import cv2
     import numpy as np
 
-    left, right = (np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) for image in (pair.left, pair.right))
+    left, right = (
+        np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+        for image in (pair.left, pair.right)
+    )
     return left, right

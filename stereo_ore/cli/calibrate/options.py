@@ -18,15 +18,25 @@ if TYPE_CHECKING:
 SIZES = {"HD2K": (2208, 1242), "HD1080": (1920, 1080), "HD720": (1280, 720), "VGA": (672, 376)}
 
 CalibFile = Annotated[Path, typer.Argument(help="Calibration in any known format.")]
-Images = Annotated[Literal["rectified", "raw"] | None, typer.Option(help="What the images are, if the file is silent.")]
+Images = Annotated[
+    Literal["rectified", "raw"] | None,
+    typer.Option(help="What the images are, if the file is silent."),
+]
 Size = Annotated[str | None, typer.Option(help="Size of one eye: WxH, HD2K, HD1080, HD720 or VGA.")]
 Unit = Annotated[
     str | None,
-    typer.Option(help="Unit of a translation that the file does not say: m, dm, cm, mm, inch, or a square: 25mm."),
+    typer.Option(
+        help=(
+            "Unit of a translation that the file does not say: m, dm, cm, mm, inch, or a square:"
+            " 25mm."
+        )
+    ),
 ]
 Lens = Annotated[
     Literal["pinhole", "equidistant"] | None,
-    typer.Option("--projection", help="Of lenses whose file does not say it; equidistant: cv2.fisheye."),
+    typer.Option(
+        "--projection", help="Of lenses whose file does not say it; equidistant: cv2.fisheye."
+    ),
 ]
 Eyes = Annotated[str | None, typer.Option(help="Left and right camera of a longer chain: L,R.")]
 
@@ -76,7 +86,9 @@ def two_numbers(text: str, separator: str, option: str) -> tuple[int, int]:
     try:
         first, second = (int(part) for part in text.split(separator))
     except ValueError:
-        raise CalibrationError(f"{text!r} is not two whole numbers with {separator!r} between", key=option) from None
+        raise CalibrationError(
+            f"{text!r} is not two whole numbers with {separator!r} between", key=option
+        ) from None
     return first, second
 
 

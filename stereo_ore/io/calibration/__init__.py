@@ -67,14 +67,15 @@ def load(
     image_size
         Width and height [px] of one eye, for formats that hold several or none.
     unit_m
-        Length of one unit of a translation, for formats that do not fix it; None: metres, where that is likely.
+        Length of one unit of a translation, for formats that do not fix it; None: metres, where
+        that is likely.
     eyes
         Numbers of the left and the right camera, for chains of more than two.
     projection
         Of the lenses, for files that do not say it.
     recorded_size
-        Width and height [px] of the images at hand: picks one of several sizes in a file, never stands for a missing
-        one.
+        Width and height [px] of the images at hand: picks one of several sizes in a file, never
+        stands for a missing one.
 
     Raises
     ------

@@ -1,4 +1,6 @@
-"""YAML of the package *calibrating*: cam1, cam2 (fx fy cx cy D xy), R and t at the top; X_2 = R·X_1 + t, metres."""
+"""YAML of the package *calibrating*: cam1, cam2 (fx fy cx cy D xy), R and t at the top; X_2 = R·X_1
++ t, metres.
+"""
 
 from __future__ import annotations
 

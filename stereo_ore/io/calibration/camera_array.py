@@ -1,4 +1,6 @@
-"""TOML of caliscope, stereo-charuco-pipeline and aniposelib: cameras posed from the world, X_camera = R·X_world + t."""
+"""TOML of caliscope, stereo-charuco-pipeline and aniposelib: cameras posed from the world, X_camera
+= R·X_world + t.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,15 @@ from typing import Any
 import numpy as np
 
 from stereo_ore.errors import CalibrationError
-from stereo_ore.io.calibration.formats import Hints, in_metres, numbers, one_size, raw_only, tell_unread, without_tail
+from stereo_ore.io.calibration.formats import (
+    Hints,
+    in_metres,
+    numbers,
+    one_size,
+    raw_only,
+    tell_unread,
+    without_tail,
+)
 from stereo_ore.io.calibration.geometry import from_vector, make_calibration
 from stereo_ore.transforms import inverse, rotation_fault
 from stereo_ore.types import F64, CameraModel, StereoCalibration
@@ -50,11 +60,15 @@ def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
     raw_only(path, hints)
     if hints.eyes is None and len(cameras) != 2:
         remedy = "Say which are left and right with --eyes L,R"
-        raise CalibrationError(f"holds the cameras {', '.join(map(str, cameras))}", file=path, remedy=remedy)
+        raise CalibrationError(
+            f"holds the cameras {', '.join(map(str, cameras))}", file=path, remedy=remedy
+        )
     left, right = hints.eyes or tuple(cameras)
     for index in (left, right):
         if index not in cameras:
-            raise CalibrationError(f"has no camera {index}, only {', '.join(map(str, cameras))}", file=path)
+            raise CalibrationError(
+                f"has no camera {index}, only {', '.join(map(str, cameras))}", file=path
+            )
     T = _pose(path, right, cameras[right]) @ inverse(_pose(path, left, cameras[left]))
     return make_calibration(
         path,
@@ -76,11 +90,19 @@ def _cameras(path: Path, text: str) -> dict[int, dict[str, Any]]:
         raise CalibrationError(f"is not valid TOML: {fault}", file=path) from None
     inner = data.get("cameras")
     entries = (
-        inner if isinstance(inner, dict) else {k.removeprefix("cam_"): v for k, v in data.items() if k != "metadata"}
+        inner
+        if isinstance(inner, dict)
+        else {k.removeprefix("cam_"): v for k, v in data.items() if k != "metadata"}
     )
-    unread = {k: v for k, v in data.items() if k not in ("cameras", "metadata") and not k.startswith("cam_")}
+    unread = {
+        k: v
+        for k, v in data.items()
+        if k not in ("cameras", "metadata") and not k.startswith("cam_")
+    }
     tell_unread(path, unread)
-    found = {int(k): v for k, v in entries.items() if re.fullmatch(r"\d{1,6}", k) and isinstance(v, dict)}
+    found = {
+        int(k): v for k, v in entries.items() if re.fullmatch(r"\d{1,6}", k) and isinstance(v, dict)
+    }
     if not found:
         raise CalibrationError("has no section of a camera", file=path)
     return dict(sorted(found.items()))
@@ -94,7 +116,9 @@ def _pose(path: Path, index: int, camera: dict[str, Any]) -> F64:
     if rotation.size == 3:
         return from_vector(np.concatenate([rotation, shift]))
     if rotation.size != 9:
-        raise CalibrationError(f"must have 3 or 9 numbers, not {rotation.size}", file=path, key=f"{key}.rotation")
+        raise CalibrationError(
+            f"must have 3 or 9 numbers, not {rotation.size}", file=path, key=f"{key}.rotation"
+        )
     if fault := rotation_fault(rotation.reshape(3, 3)):
         raise CalibrationError(f"the rotation {fault}", file=path, key=f"{key}.rotation")
     T = np.eye(4)
@@ -110,4 +134,6 @@ def _camera(path: Path, index: int, camera: dict[str, Any]) -> CameraModel:
     fisheye = camera.get("fisheye", False) is not False and camera.get("fisheye") != 0
     lens = tuple(D.tolist()) if fisheye else without_tail(D, 8)
     centre = (float(K[0, 2]), float(K[1, 2]))
-    return CameraModel((float(K[0, 0]), float(K[1, 1])), centre, lens, "equidistant" if fisheye else "pinhole")
+    return CameraModel(
+        (float(K[0, 0]), float(K[1, 1])), centre, lens, "equidistant" if fisheye else "pinhole"
+    )

@@ -1,4 +1,6 @@
-"""COLMAP's cameras.txt and rigs.txt beside each other: pixels counted from the corner, quaternions w first."""
+"""COLMAP's cameras.txt and rigs.txt beside each other: pixels counted from the corner, quaternions
+w first.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,15 @@ from pathlib import Path
 import numpy as np
 
 from stereo_ore.errors import CalibrationError
-from stereo_ore.io.calibration.formats import Hints, Projection, in_metres, numbers, one_size, raw_only, read_file
+from stereo_ore.io.calibration.formats import (
+    Hints,
+    Projection,
+    in_metres,
+    numbers,
+    one_size,
+    raw_only,
+    read_file,
+)
 from stereo_ore.io.calibration.geometry import make_calibration
 from stereo_ore.transforms import inverse, nearest_rotation
 from stereo_ore.types import F64, CameraModel, StereoCalibration
@@ -20,7 +30,8 @@ HALF_PIXEL = 0.5
 """COLMAP's image begins at the corner of the first pixel, OpenCV's at its middle."""
 
 MODELS = {
-    "SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "RADIAL": 5, "OPENCV": 8, "FULL_OPENCV": 12,
+    "SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "RADIAL": 5, "OPENCV": 8,
+    "FULL_OPENCV": 12,
     "OPENCV_FISHEYE": 8,
 }  # fmt: skip
 """Numbers of parameters of the models that OpenCV has too."""
@@ -37,12 +48,14 @@ def recognises(text: str) -> bool:
 
 
 def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
-    """The calibration of a rig of two cameras, from either file; `hints.eyes` says which when there are more.
+    """The calibration of a rig of two cameras, from either file; `hints.eyes` says which when there
+    are more.
 
     Raises
     ------
     CalibrationError
-        When the other file is missing, a camera has no pose in the rig, or its model is none of OpenCV's.
+        When the other file is missing, a camera has no pose in the rig, or its model is none of
+        OpenCV's.
     """
     raw_only(path, hints)
     is_rig = bool(_RIG.search(text))
@@ -52,7 +65,9 @@ def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
     cameras, poses = _cameras(camera_file, camera_text), _poses(rig_file, rig_text)
     if hints.eyes is None and len(poses) != 2:
         remedy = "Say which are left and right with --eyes L,R"
-        raise CalibrationError(f"holds a rig of the cameras {sorted(poses)}", file=rig_file, remedy=remedy)
+        raise CalibrationError(
+            f"holds a rig of the cameras {sorted(poses)}", file=rig_file, remedy=remedy
+        )
     left, right = hints.eyes or tuple(sorted(poses))
     for index in (left, right):
         if index not in poses or index not in cameras:
@@ -60,7 +75,9 @@ def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
     T = poses[right] @ inverse(poses[left])
     if hints.unit_m is None:
         log.warning(
-            "%s: the scale of a COLMAP model is free; its unit is taken for a metre (--unit says otherwise)", path
+            "%s: the scale of a COLMAP model is free; its unit is taken for a metre (--unit says"
+            " otherwise)",
+            path,
         )
     return make_calibration(
         path,
@@ -97,7 +114,9 @@ def _index(path: Path, word: str) -> int:
 
 
 def _model(name: str, values: F64) -> CameraModel:
-    """One focal length or two, then the principal point, then the coefficients in OpenCV's order."""
+    """One focal length or two, then the principal point, then the coefficients in OpenCV's
+    order.
+    """
     one = name.startswith("SIMPLE") or name == "RADIAL"
     focal, rest = (values[[0, 0]], values[1:]) if one else (values[:2], values[2:])
     lens = rest[2:].tolist()
@@ -108,7 +127,9 @@ def _model(name: str, values: F64) -> CameraModel:
 
 
 def _poses(path: Path, text: str) -> dict[int, F64]:
-    """``T_camera_rig`` of each camera of the only rig: id, count, type, id of the reference, then each other sensor."""
+    """``T_camera_rig`` of each camera of the only rig: id, count, type, id of the reference, then
+    each other sensor.
+    """
     rows = _rows(text)
     if len(rows) != 1 or len(rows[0]) < 4:
         raise CalibrationError(f"must hold one rig, not {len(rows)}", file=path)
@@ -128,9 +149,14 @@ def _pose(path: Path, index: int, values: F64) -> F64:
     """The transform of qw qx qy qz tx ty tz."""
     length = float(np.linalg.norm(values[:4]))
     if abs(length - 1) > 1e-3:
-        raise CalibrationError(f"the quaternion has length {length:.3f}, not 1", file=path, key=f"camera {index}")
+        raise CalibrationError(
+            f"the quaternion has length {length:.3f}, not 1", file=path, key=f"camera {index}"
+        )
     w, x, y, z = values[:4] / length
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     T = np.eye(4)
-    T[:3, :3], T[:3, 3] = nearest_rotation(np.eye(3) + 2 * w * cross + 2 * cross @ cross), values[4:]
+    T[:3, :3], T[:3, 3] = (
+        nearest_rotation(np.eye(3) + 2 * w * cross + 2 * cross @ cross),
+        values[4:],
+    )
     return T

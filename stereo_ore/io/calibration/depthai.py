@@ -1,4 +1,6 @@
-"""Luxonis depthai's JSON: intrinsics a socket, and a chain of transforms X_to = R·X_from + t from socket to socket."""
+"""Luxonis depthai's JSON: intrinsics a socket, and a chain of transforms X_to = R·X_from + t from
+socket to socket.
+"""
 
 from __future__ import annotations
 
@@ -10,19 +12,29 @@ from typing import Any
 import numpy as np
 
 from stereo_ore.errors import CalibrationError
-from stereo_ore.io.calibration.formats import Hints, numbers, one_size, parse_json, raw_only, tell_unread, without_tail
+from stereo_ore.io.calibration.formats import (
+    Hints,
+    numbers,
+    one_size,
+    parse_json,
+    raw_only,
+    tell_unread,
+    without_tail,
+)
 from stereo_ore.io.calibration.geometry import make_calibration
 from stereo_ore.transforms import inverse, nearest_rotation, rotation_fault
 from stereo_ore.types import F64, CameraModel, StereoCalibration
 
 LENGTHS_M = (1.0, 0.01, 0.001, 0.0254, 0.3048)
-"""Metres a unit of `lengthUnit`: metre, centimetre (also where it is not said), millimetre, inch, foot."""
+"""Metres a unit of `lengthUnit`: metre, centimetre (also where it is not said), millimetre, inch,
+foot."""
 
 ROUNDED = 1e-5
 """The device keeps 32 bits of each number."""
 
 _CAMERA = (
-    "cameraType", "distortionCoeff", "extrinsics", "height", "intrinsicMatrix", "lensPosition", "specHfovDeg", "width"
+    "cameraType", "distortionCoeff", "extrinsics", "height", "intrinsicMatrix", "lensPosition",
+    "specHfovDeg", "width"
 )  # fmt: skip
 _TOP = re.compile(
     r"cameraData|stereoRectificationData|stereoUseSpecTranslation|stereoEnableDistortionCorrection|imu\w*|housing\w*|"
@@ -38,12 +50,14 @@ def recognises(text: str) -> bool:
 
 
 def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
-    """The calibration of the stereo pair that the file names, or of `hints.eyes` (numbers of sockets).
+    """The calibration of the stereo pair that the file names, or of `hints.eyes` (numbers of
+    sockets).
 
     Raises
     ------
     CalibrationError
-        When a socket or the transform between both is missing; when a lens is neither perspective nor fisheye.
+        When a socket or the transform between both is missing; when a lens is neither perspective
+        nor fisheye.
     """
     data = parse_json(path, text)
     raw_only(path, hints)
@@ -52,9 +66,13 @@ def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
     left, right = hints.eyes or _pair(path, data, sockets)
     for socket in (left, right):
         if socket not in sockets:
-            raise CalibrationError(f"has no camera at socket {socket}, only {sorted(sockets)}", file=path)
+            raise CalibrationError(
+                f"has no camera at socket {socket}, only {sorted(sockets)}", file=path
+            )
     T = _between(path, sockets, left, right)
-    size = one_size(path, [[sockets[i].get("width"), sockets[i].get("height")] for i in (left, right)], hints)
+    size = one_size(
+        path, [[sockets[i].get("width"), sockets[i].get("height")] for i in (left, right)], hints
+    )
     return make_calibration(
         path,
         image_size=size,
@@ -63,7 +81,10 @@ def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
         rotation=T[:3, :3],
         translation_m=T[:3, 3],
         images="raw",
-        camera=f"{data.get('productName') or data.get('boardName') or path.stem} sockets {left}, {right}",
+        camera=(
+            f"{data.get('productName') or data.get('boardName') or path.stem} sockets {left},"
+            f" {right}"
+        ),
     )
 
 
@@ -81,7 +102,9 @@ def _pair(path: Path, data: dict[str, Any], sockets: Sockets) -> tuple[int, int]
     pair = tuple(stereo.get(f"{side}CameraSocket", -1) for side in ("left", "right"))
     if not all(socket in sockets for socket in pair):
         remedy = "Say which are left and right with --eyes L,R"
-        raise CalibrationError(f"names no stereo pair of its sockets {sorted(sockets)}", file=path, remedy=remedy)
+        raise CalibrationError(
+            f"names no stereo pair of its sockets {sorted(sockets)}", file=path, remedy=remedy
+        )
     return pair[0], pair[1]
 
 
@@ -97,7 +120,9 @@ def _between(path: Path, sockets: Sockets, left: int, right: int) -> F64:
                     reached[target] = step @ reached[at]
                     border.append(target)
     if right not in reached:
-        raise CalibrationError(f"no extrinsics lead from socket {left} to {right}", file=path, key="extrinsics")
+        raise CalibrationError(
+            f"no extrinsics lead from socket {left} to {right}", file=path, key="extrinsics"
+        )
     return reached[right]
 
 
@@ -114,7 +139,9 @@ def _link(path: Path, socket: int, camera: dict[str, Any]) -> Iterator[tuple[int
     values = [shift.get(axis) for axis in "xyz"] if isinstance(shift, dict) else shift
     unit = extrinsics.get("lengthUnit", 1)
     if unit not in range(len(LENGTHS_M)):
-        raise CalibrationError(f"{unit!r:.20} is no unit that is known here", file=path, key=f"{key}.lengthUnit")
+        raise CalibrationError(
+            f"{unit!r:.20} is no unit that is known here", file=path, key=f"{key}.lengthUnit"
+        )
     T = np.eye(4)
     T[:3, :3] = nearest_rotation(R)
     T[:3, 3] = numbers(path, f"{key}.translation", values, 3) * LENGTHS_M[unit]
@@ -123,16 +150,24 @@ def _link(path: Path, socket: int, camera: dict[str, Any]) -> Iterator[tuple[int
 
 def _camera(path: Path, socket: int, camera: dict[str, Any]) -> CameraModel:
     key = f"cameraData[{socket}]"
-    tell_unread(path, {name: value for name, value in camera.items() if name not in _CAMERA}, f"{key}: ")
+    tell_unread(
+        path, {name: value for name, value in camera.items() if name not in _CAMERA}, f"{key}: "
+    )
     K = numbers(path, f"{key}.intrinsicMatrix", camera.get("intrinsicMatrix"), 9).reshape(3, 3)
     D = numbers(path, f"{key}.distortionCoeff", camera.get("distortionCoeff"))
     kind = camera.get("cameraType", 0)
     if kind not in (0, 1):
         raise CalibrationError(
-            f"{kind!r:.20} is neither 0 (perspective) nor 1 (fisheye)", file=path, key=f"{key}.cameraType"
+            f"{kind!r:.20} is neither 0 (perspective) nor 1 (fisheye)",
+            file=path,
+            key=f"{key}.cameraType",
         )
     if kind == 1 and D[4:].any():
-        raise CalibrationError(f"a fisheye lens has 4 coefficients, not {len(D)}", file=path, key=key)
+        raise CalibrationError(
+            f"a fisheye lens has 4 coefficients, not {len(D)}", file=path, key=key
+        )
     lens = tuple(D[:4].tolist()) if kind == 1 else without_tail(D, 5)
     centre = (float(K[0, 2]), float(K[1, 2]))
-    return CameraModel((float(K[0, 0]), float(K[1, 1])), centre, lens, "equidistant" if kind == 1 else "pinhole")
+    return CameraModel(
+        (float(K[0, 0]), float(K[1, 1])), centre, lens, "equidistant" if kind == 1 else "pinhole"
+    )

@@ -48,7 +48,9 @@ def _parse(path: Path, text: str) -> dict[str, Any]:
 
 
 def plain_yaml(text: str) -> str:
-    """The YAML that OpenCV writes as other readers take it: no directive, no tags, a blank behind ``data:``."""
+    """The YAML that OpenCV writes as other readers take it: no directive, no tags, a blank behind
+    ``data:``.
+    """
     body = "\n".join(line for line in text.splitlines() if not line.startswith("%"))
     body = re.sub(r"!!(opencv-(nd-)?matrix|binary)", "", body)
     return re.sub(r"^([ \t]*[\w.]+):(?=\[)", r"\1: ", body, flags=re.MULTILINE)
@@ -78,7 +80,9 @@ def _matrix(path: Path, key: str, value: Any) -> Any:
 
 
 def _from_base64(path: Path, key: str, text: str) -> Any:
-    """The numbers of a matrix written with ``FILE_STORAGE_BASE64``: a header that names the type, then their bytes."""
+    """The numbers of a matrix written with ``FILE_STORAGE_BASE64``: a header that names the type,
+    then their bytes.
+    """
     try:
         data = base64.b64decode("".join(text.split()), validate=True)
         kind = re.fullmatch(r"\d*([ucwsifd])", data[:_BASE64_HEADER].decode("ascii").strip())
@@ -87,4 +91,6 @@ def _from_base64(path: Path, key: str, text: str) -> Any:
         return np.frombuffer(data[_BASE64_HEADER:], _TYPES[kind[1]]).astype(np.float64)
     except (binascii.Error, ValueError) as fault:
         remedy = "Write it again without FILE_STORAGE_BASE64"
-        raise CalibrationError(f"is no matrix in base64: {fault}", file=path, key=key, remedy=remedy) from None
+        raise CalibrationError(
+            f"is no matrix in base64: {fault}", file=path, key=key, remedy=remedy
+        ) from None

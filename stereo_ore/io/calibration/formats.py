@@ -46,13 +46,15 @@ class Hints:
     image_size
         Width and height [px] of one eye as the user gave it, for formats that hold several or none.
     unit_m
-        Length of one unit of the translation, for formats that do not fix it; None: metres, where that is likely.
+        Length of one unit of the translation, for formats that do not fix it; None: metres, where
+        that is likely.
     eyes
         Which two cameras of a chain are left and right; None: the chain has just two.
     projection
         Of both lenses, for files that do not say it.
     recorded_size
-        Width and height [px] of the images at hand: picks one of several sizes in a file, never stands for one.
+        Width and height [px] of the images at hand: picks one of several sizes in a file, never
+        stands for one.
     """
 
     images: Images | None = None
@@ -105,20 +107,27 @@ def read_file(path: Path) -> str:
         raise CalibrationError(f"is no whole gzip file: {fault}", file=path) from None
     for magic, kind in _MAGIC.items():
         if head.startswith(magic):
-            beside = ", ".join(file.name for file in sorted(path.parent.glob(f"{path.stem}_TransformationMatrix.json")))
+            beside = ", ".join(
+                file.name
+                for file in sorted(path.parent.glob(f"{path.stem}_TransformationMatrix.json"))
+            )
             remedy = f"Name {beside or 'a calibration as text (YAML, JSON or XML)'} instead"
             raise CalibrationError(f"is {kind}, not a text file", file=path, remedy=remedy)
     return read_text(path, CalibrationError)
 
 
 def size_of(path: Path, in_file: Sequence[Any] | None, hints: Hints) -> tuple[int, int]:
-    """The image size that the file gives or, when it gives none, that the user gave; never that of the images."""
+    """The image size that the file gives or, when it gives none, that the user gave; never that of
+    the images.
+    """
     size = in_file or hints.image_size
     if size is None:
         raise CalibrationError("does not say the image size", file=path, remedy=SIZE_REMEDY)
     values = numbers(path, "image size", size, 2)
     if not all(value > 0 and value == int(value) for value in values):
-        raise CalibrationError(f"the image size must be two positive whole numbers, not {list(size)}", file=path)
+        raise CalibrationError(
+            f"the image size must be two positive whole numbers, not {list(size)}", file=path
+        )
     return int(values[0]), int(values[1])
 
 
@@ -126,7 +135,9 @@ def one_size(path: Path, sizes: Sequence[Any], hints: Hints) -> tuple[int, int]:
     """The image size that both eyes have; `sizes` as the file gives them."""
     both = [size_of(path, size, hints) for size in sizes]
     if both[0] != both[1]:
-        raise CalibrationError(f"the left eye has images of {both[0]} px, the right one of {both[1]}", file=path)
+        raise CalibrationError(
+            f"the left eye has images of {both[0]} px, the right one of {both[1]}", file=path
+        )
     return both[0]
 
 
@@ -162,7 +173,9 @@ def numbers(path: Path, key: str, values: Any, count: int | None = None) -> F64:
     except (TypeError, ValueError, OverflowError):
         raise CalibrationError(f"must be numbers, not {values!r:.80}", file=path, key=key) from None
     if not np.isfinite(array).all():
-        raise CalibrationError(f"must be finite numbers, not {array.tolist()!r:.80}", file=path, key=key)
+        raise CalibrationError(
+            f"must be finite numbers, not {array.tolist()!r:.80}", file=path, key=key
+        )
     if count is not None and len(array) != count:
         raise CalibrationError(f"must have {count} numbers, not {len(array)}", file=path, key=key)
     return array
@@ -182,7 +195,9 @@ def other_eye(path: Path, pairs: Sequence[tuple[str, str]]) -> tuple[Path, Path]
         if second in path.name:
             return path.with_name(path.name.replace(second, first)), path
     words = " or ".join(word for pair in pairs for word in pair)
-    raise CalibrationError(f"is one file of two, and its name has no {words} to find the other by", file=path)
+    raise CalibrationError(
+        f"is one file of two, and its name has no {words} to find the other by", file=path
+    )
 
 
 def in_metres(path: Path, shift: F64, hints: Hints) -> F64:
@@ -211,7 +226,8 @@ def without_tail(coefficients: Iterable[float], keep: int) -> tuple[float, ...]:
 
 
 def tell_unread(path: Path, entries: Mapping[str, Any], what: str = "") -> None:
-    """Say which entries of a file were not read; refuse those that look like part of a lens model and are not zero.
+    """Say which entries of a file were not read; refuse those that look like part of a lens model
+    and are not zero.
 
     Parameters
     ----------
@@ -225,10 +241,16 @@ def tell_unread(path: Path, entries: Mapping[str, Any], what: str = "") -> None:
     """
     # A key of YAML may be a number.
     unread = [str(key) for key, value in entries.items() if _counts(value)]
-    lens = [key for key in unread if _LENS_WORDS.search(key.lower()) and not _NO_MODEL.search(key.lower())]
+    lens = [
+        key
+        for key in unread
+        if _LENS_WORDS.search(key.lower()) and not _NO_MODEL.search(key.lower())
+    ]
     if lens:
         problem = f"{what}{', '.join(lens)}: looks like part of a lens model and is not known here"
-        remedy = "Rename it (see docs/calibration.md for the names), or leave it out if it means nothing"
+        remedy = (
+            "Rename it (see docs/calibration.md for the names), or leave it out if it means nothing"
+        )
         raise CalibrationError(problem, file=path, remedy=remedy)
     if unread:
         log.warning("%s: %sentries not understood: %s", path, what, ", ".join(unread))

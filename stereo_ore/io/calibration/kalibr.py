@@ -1,4 +1,6 @@
-"""Kalibr camera chains: cam0, cam1, … with ``T_cn_cnm1``, the transform from the camera before [m]."""
+"""Kalibr camera chains: cam0, cam1, … with ``T_cn_cnm1``, the transform from the camera before
+[m].
+"""
 
 from __future__ import annotations
 
@@ -47,22 +49,29 @@ def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
     Raises
     ------
     CalibrationError
-        When a key is missing, a model is not radtan or equidistant, or the two cameras are not said.
+        When a key is missing, a model is not radtan or equidistant, or the two cameras are not
+        said.
     """
     chain = _cameras(path, parse_yaml(plain_yaml(text), path, CalibrationError, aliases=True))
     if hints.eyes is None and len(chain) != 2:
         remedy = "Say which are left and right with --eyes L,R"
-        raise CalibrationError(f"holds {len(chain)} cameras: {', '.join(map(str, chain))}", file=path, remedy=remedy)
+        raise CalibrationError(
+            f"holds {len(chain)} cameras: {', '.join(map(str, chain))}", file=path, remedy=remedy
+        )
     left, right = hints.eyes or tuple(chain)
     for index in (left, right):
         if index not in chain:
-            raise CalibrationError(f"has no cam{index}{nearest(f'cam{index}', (f'cam{i}' for i in chain))}", file=path)
+            raise CalibrationError(
+                f"has no cam{index}{nearest(f'cam{index}', (f'cam{i}' for i in chain))}", file=path
+            )
     if hints.images == "rectified":
         raise CalibrationError("Kalibr describes raw images, not rectified ones", file=path)
     T_right_left = _between(path, chain, left, right)
     sizes = [size_of(path, chain[index].get("resolution"), hints) for index in (left, right)]
     if sizes[0] != sizes[1]:
-        raise CalibrationError(f"cam{left} has images of {sizes[0]} px, cam{right} of {sizes[1]}", file=path)
+        raise CalibrationError(
+            f"cam{left} has images of {sizes[0]} px, cam{right} of {sizes[1]}", file=path
+        )
     return make_calibration(
         path,
         image_size=sizes[0],
@@ -77,22 +86,31 @@ def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
 
 def _cameras(path: Path, data: dict[str, Any]) -> dict[int, dict[str, Any]]:
     """The cameras by number."""
-    chain = {int(key[3:]): value for key, value in data.items() if re.fullmatch(r"cam\d{1,6}", str(key))}
+    chain = {
+        int(key[3:]): value for key, value in data.items() if re.fullmatch(r"cam\d{1,6}", str(key))
+    }
     for index, camera in chain.items():
         if not isinstance(camera, dict):
             raise CalibrationError("must be a mapping", file=path, key=f"cam{index}")
-    tell_unread(path, {key: value for key, value in data.items() if not re.fullmatch(r"cam\d{1,6}", str(key))})
+    tell_unread(
+        path,
+        {key: value for key, value in data.items() if not re.fullmatch(r"cam\d{1,6}", str(key))},
+    )
     return dict(sorted(chain.items()))
 
 
 def _get(path: Path, name: str, camera: dict[str, Any], key: str) -> Any:
     if key not in camera:
-        raise CalibrationError(f"key is missing{nearest(key, map(str, camera))}", file=path, key=f"{name}.{key}")
+        raise CalibrationError(
+            f"key is missing{nearest(key, map(str, camera))}", file=path, key=f"{name}.{key}"
+        )
     return camera[key]
 
 
 def _between(path: Path, chain: dict[int, dict[str, Any]], left: int, right: int) -> F64:
-    """``T_right_left``, by the links of the chain or by what both cameras know of the IMU; both must agree."""
+    """``T_right_left``, by the links of the chain or by what both cameras know of the IMU; both
+    must agree.
+    """
     ways = []
     if all("T_cn_cnm1" in chain.get(link, {}) for link in range(1, max(left, right) + 1)):
         ways.append(_to_first(path, chain, right) @ inverse(_to_first(path, chain, left)))
@@ -100,11 +118,15 @@ def _between(path: Path, chain: dict[int, dict[str, Any]], left: int, right: int
     if imu[0] is not None and imu[1] is not None:
         ways.append(imu[1] @ inverse(imu[0]))
     if not ways:
-        missing = next(i for i in range(1, max(left, right) + 1) if "T_cn_cnm1" not in chain.get(i, {}))
+        missing = next(
+            i for i in range(1, max(left, right) + 1) if "T_cn_cnm1" not in chain.get(i, {})
+        )
         _get(path, f"cam{missing}", chain.get(missing, {}), "T_cn_cnm1")
     if len(ways) == 2 and np.abs(ways[0] - ways[1]).max() > AGREE:
         problem = f"T_cn_cnm1 and T_cam_imu differ by up to {np.abs(ways[0] - ways[1]).max():.2g}"
-        raise CalibrationError(problem, file=path, key=f"cam{right}", remedy="Leave the older of them out")
+        raise CalibrationError(
+            problem, file=path, key=f"cam{right}", remedy="Leave the older of them out"
+        )
     return ways[0]
 
 
@@ -122,7 +144,9 @@ def _transform(path: Path, key: str, value: Any) -> F64:
     if fault := rotation_fault(T[:3, :3]):
         raise CalibrationError(f"the rotation {fault}", file=path, key=key)
     if not np.array_equal(T[3], (0, 0, 0, 1)):
-        raise CalibrationError(f"the last row must be [0, 0, 0, 1], not {T[3].tolist()}", file=path, key=key)
+        raise CalibrationError(
+            f"the last row must be [0, 0, 0, 1], not {T[3].tolist()}", file=path, key=key
+        )
     return T
 
 
@@ -135,14 +159,24 @@ def _to_first(path: Path, chain: dict[int, dict[str, Any]], index: int) -> F64:
 
 
 def _camera(path: Path, name: str, camera: dict[str, Any]) -> CameraModel:
-    tell_unread(path, {key: value for key, value in camera.items() if key not in _KNOWN}, f"{name}: ")
+    tell_unread(
+        path, {key: value for key, value in camera.items() if key not in _KNOWN}, f"{name}: "
+    )
     kind, model = (_get(path, name, camera, key) for key in ("camera_model", "distortion_model"))
     if kind != "pinhole":
-        raise CalibrationError(f"{kind!r} is not supported, only pinhole", file=path, key=f"{name}.camera_model")
+        raise CalibrationError(
+            f"{kind!r} is not supported, only pinhole", file=path, key=f"{name}.camera_model"
+        )
     if model not in ("radtan", "equidistant", "none"):
         problem = f"{model!r} is not one of radtan, equidistant, none"
         raise CalibrationError(problem, file=path, key=f"{name}.distortion_model")
-    fx, fy, cx, cy = numbers(path, f"{name}.intrinsics", _get(path, name, camera, "intrinsics"), 4).tolist()
+    fx, fy, cx, cy = numbers(
+        path, f"{name}.intrinsics", _get(path, name, camera, "intrinsics"), 4
+    ).tolist()
     D = () if model == "none" else _get(path, name, camera, "distortion_coeffs")
-    distortion = tuple(numbers(path, f"{name}.distortion_coeffs", D, None if model == "none" else 4).tolist())
-    return CameraModel((fx, fy), (cx, cy), distortion, "equidistant" if model == "equidistant" else "pinhole")
+    distortion = tuple(
+        numbers(path, f"{name}.distortion_coeffs", D, None if model == "none" else 4).tolist()
+    )
+    return CameraModel(
+        (fx, fy), (cx, cy), distortion, "equidistant" if model == "equidistant" else "pinhole"
+    )

@@ -36,16 +36,30 @@ def recognises(text: str) -> bool:
 
 
 def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
-    """The calibration; doffs is the difference of the principal points and must agree with the file's own entry."""
-    entries = {key.strip(): value.strip() for key, _, value in (line.partition("=") for line in text.splitlines())}
+    """The calibration; doffs is the difference of the principal points and must agree with the
+    file's own entry.
+    """
+    entries = {
+        key.strip(): value.strip()
+        for key, _, value in (line.partition("=") for line in text.splitlines())
+    }
     if hints.images == "raw":
-        raise CalibrationError("a Middlebury calibration describes rectified images, not raw ones", file=path)
+        raise CalibrationError(
+            "a Middlebury calibration describes rectified images, not raw ones", file=path
+        )
     tell_unread(path, {key: value for key, value in entries.items() if value and key not in _KNOWN})
     left, right = (_matrix(path, entries, key) for key in ("cam0", "cam1"))
     doffs = right[0, 2] - left[0, 2]
-    if "doffs" in entries and not abs(_number(path, entries, "doffs") - doffs) <= DOFFS_TOLERANCE_PX:
-        raise CalibrationError(f"is {entries['doffs']}, but cx of cam1 − cam0 is {doffs:g}", file=path, key="doffs")
-    size = [_number(path, entries, key) for key in ("width", "height")] if "width" in entries else None
+    if (
+        "doffs" in entries
+        and not abs(_number(path, entries, "doffs") - doffs) <= DOFFS_TOLERANCE_PX
+    ):
+        raise CalibrationError(
+            f"is {entries['doffs']}, but cx of cam1 − cam0 is {doffs:g}", file=path, key="doffs"
+        )
+    size = (
+        [_number(path, entries, key) for key in ("width", "height")] if "width" in entries else None
+    )
     return make_calibration(
         path,
         image_size=size_of(path, size, hints),
@@ -59,7 +73,9 @@ def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
 
 def _text(path: Path, entries: dict[str, str], key: str) -> str:
     if key not in entries:
-        raise CalibrationError(f"key is missing{nearest(key, filter(None, entries))}", file=path, key=key)
+        raise CalibrationError(
+            f"key is missing{nearest(key, filter(None, entries))}", file=path, key=key
+        )
     return entries[key]
 
 

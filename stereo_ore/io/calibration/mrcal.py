@@ -1,4 +1,6 @@
-"""mrcal's ``.cameramodel``: a Python literal an eye; rt_cam_ref takes points of a common frame to the camera."""
+"""mrcal's ``.cameramodel``: a Python literal an eye; rt_cam_ref takes points of a common frame to
+the camera.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,8 @@ from stereo_ore.io.calibration.geometry import from_vector, make_calibration
 from stereo_ore.transforms import inverse
 from stereo_ore.types import F64, CameraModel, StereoCalibration
 
-_EYES = (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"), ("camera-0", "camera-1"), ("camera0", "camera1"),
+_EYES = (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"), ("camera-0", "camera-1"),
+("camera0", "camera1"),
          ("cam0", "cam1"))  # fmt: skip
 LENSES = {f"LENSMODEL_OPENCV{n}": n for n in (4, 5, 8, 12)} | {"LENSMODEL_PINHOLE": 0}
 _KNOWN = (
@@ -84,7 +87,9 @@ def _pose(path: Path, model: dict[str, Any]) -> F64:
     """``T_camera_reference``; files before mrcal 2.5 call it extrinsics, later ones have both."""
     key = "rt_cam_ref" if "rt_cam_ref" in model else "extrinsics"
     rt = numbers(path, key, model.get(key), 6)
-    if "extrinsics" in model and not np.array_equal(numbers(path, "extrinsics", model["extrinsics"], 6), rt):
+    if "extrinsics" in model and not np.array_equal(
+        numbers(path, "extrinsics", model["extrinsics"], 6), rt
+    ):
         raise CalibrationError("rt_cam_ref and extrinsics differ", file=path, key=key)
     return from_vector(rt)
 
@@ -95,5 +100,7 @@ def _camera(path: Path, model: dict[str, Any]) -> CameraModel:
         problem = f"{lens!r:.60} is none of {', '.join(LENSES)}"
         remedy = "Convert it: mrcal-convert-lensmodel LENSMODEL_OPENCV8 …"
         raise CalibrationError(problem, file=path, key="lensmodel", remedy=remedy)
-    fx, fy, cx, cy, *D = numbers(path, "intrinsics", model.get("intrinsics"), 4 + LENSES[lens]).tolist()
+    fx, fy, cx, cy, *D = numbers(
+        path, "intrinsics", model.get("intrinsics"), 4 + LENSES[lens]
+    ).tolist()
     return CameraModel((fx, fy), (cx, cy), without_tail(D, 8))

@@ -83,7 +83,9 @@ def dump(calibration: StereoCalibration) -> str:
         },
         "disparity_offset_px": calibration.disparity_offset_px,
     }
-    return yaml.safe_dump(document, sort_keys=False, allow_unicode=True, default_flow_style=None, width=120)
+    return yaml.safe_dump(
+        document, sort_keys=False, allow_unicode=True, default_flow_style=None, width=120
+    )
 
 
 def _eye(eye: CameraModel) -> dict[str, object]:

@@ -1,4 +1,6 @@
-"""OpenCV FileStorage (YAML, XML, JSON) as `stereoCalibrate` users write it: M1 D1 M2 D2 R T, under many names."""
+"""OpenCV FileStorage (YAML, XML, JSON) as `stereoCalibrate` users write it: M1 D1 M2 D2 R T, under
+many names.
+"""
 
 from __future__ import annotations
 
@@ -29,11 +31,13 @@ from stereo_ore.types import F64, CameraModel, StereoCalibration
 log = logging.getLogger(__name__)
 
 _MODEL = re.compile(
-    r"(camera|distortion|lens|projection)?_?(model|type)$|fish_?eye(_?model)?$|(is|use)_?fish_?eye$", re.I
+    r"(camera|distortion|lens|projection)?_?(model|type)$|fish_?eye(_?model)?$|(is|use)_?fish_?eye$",
+    re.I,
 )
 _EQUIDISTANT = re.compile(r"fish|equidist|kannala|kb[48]?$", re.I)
 _PINHOLE = re.compile(
-    r"pinhole|plumb|radtan|rad_?tan|brown|rational|opencv|standard|perspective|normal|none|prism", re.I
+    r"pinhole|plumb|radtan|rad_?tan|brown|rational|opencv|standard|perspective|normal|none|prism",
+    re.I,
 )
 _HALVES = (("intrinsics", "extrinsics"), ("intrinsic", "extrinsic"))
 
@@ -86,7 +90,9 @@ def combine(path: Path, entries: dict[str, Any], hints: Hints) -> StereoCalibrat
 
 
 def _rectified(path: Path, found: dict[str, F64], hints: Hints) -> StereoCalibration:
-    P1, P2 = (numbers(path, key, _entry(path, found, key), 12).reshape(3, 4) for key in ("P1", "P2"))
+    P1, P2 = (
+        numbers(path, key, _entry(path, found, key), 12).reshape(3, 4) for key in ("P1", "P2")
+    )
     if P2[0, 0] == 0:
         raise CalibrationError("has a focal length of zero", file=path, key="P2")
     return make_calibration(
@@ -102,25 +108,39 @@ def _rectified(path: Path, found: dict[str, F64], hints: Hints) -> StereoCalibra
 
 def _size(path: Path, found: dict[str, F64]) -> list[float] | None:
     sizes = [found[key].tolist() for key in ("size", "size1", "size2") if key in found]
-    sizes += [[float(found["width"][0]), float(found["height"][0])]] if {"width", "height"} <= found.keys() else []
+    sizes += (
+        [[float(found["width"][0]), float(found["height"][0])]]
+        if {"width", "height"} <= found.keys()
+        else []
+    )
     if any(size != sizes[0] for size in sizes):
         raise CalibrationError(f"gives several image sizes: {sizes}", file=path, key="size")
     return sizes[0] if sizes else None
 
 
-def _projection(path: Path, unread: dict[str, Any], hints: Hints, found: dict[str, F64], fisheye: bool) -> Projection:
-    """What the file or, where it is silent, the user says; its entries about that are taken out of `unread`."""
+def _projection(
+    path: Path, unread: dict[str, Any], hints: Hints, found: dict[str, F64], fisheye: bool
+) -> Projection:
+    """What the file or, where it is silent, the user says; its entries about that are taken out of
+    `unread`.
+    """
     said = set[Projection](["equidistant"] if fisheye else [])
     for key in [key for key in unread if _MODEL.search(key)]:
         text = str(unread.pop(key))
-        if _EQUIDISTANT.search(text) or ("fish" in key.lower() and text.lower() not in ("0", "0.0", "false")):
+        if _EQUIDISTANT.search(text) or (
+            "fish" in key.lower() and text.lower() not in ("0", "0.0", "false")
+        ):
             said.add("equidistant")
         elif _PINHOLE.search(text) or "fish" in key.lower():
             said.add("pinhole")
         else:
-            raise CalibrationError(f"{text!r:.40} is no lens model that is known here", file=path, key=key)
+            raise CalibrationError(
+                f"{text!r:.40} is no lens model that is known here", file=path, key=key
+            )
     if len(said) > 1 or (said and hints.projection not in (None, *said)):
-        raise CalibrationError("says of its lenses that they are pinhole and fisheye", file=path, key="--projection")
+        raise CalibrationError(
+            "says of its lenses that they are pinhole and fisheye", file=path, key="--projection"
+        )
     four = any(len(found.get(key, ())) == 4 and found[key].any() for key in ("D1", "D2"))
     if four and not said and hints.projection is None:
         log.warning(
@@ -135,7 +155,9 @@ def _check_lenses(path: Path, found: dict[str, F64], projection: Projection) -> 
     """One eye with distortion and the other without is a name that is not understood."""
     missing = [key for key in ("D1", "D2") if key not in found]
     if len(missing) == 1:
-        problem = f"has no {missing[0]} (also called {also(missing[0])}), but the other eye's distortion"
+        problem = (
+            f"has no {missing[0]} (also called {also(missing[0])}), but the other eye's distortion"
+        )
         raise CalibrationError(problem, file=path, remedy="A lens without distortion has zeros")
     if missing:
         log.warning("%s: no distortion found; the lenses are taken for ideal ones", path)
@@ -154,4 +176,6 @@ def _camera(K: F64, distortion: F64 | None, projection: Projection) -> CameraMod
     """Zeros behind the coefficients in use (OpenCV writes up to 14) are left out."""
     D = () if distortion is None else tuple(distortion.tolist())
     D = without_tail(D, 8) if projection == "pinhole" else D
-    return CameraModel((float(K[0, 0]), float(K[1, 1])), (float(K[0, 2]), float(K[1, 2])), D, projection)
+    return CameraModel(
+        (float(K[0, 0]), float(K[1, 1])), (float(K[0, 2]), float(K[1, 2])), D, projection
+    )

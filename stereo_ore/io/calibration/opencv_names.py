@@ -13,10 +13,16 @@ from stereo_ore.io.calibration.formats import numbers
 from stereo_ore.types import F64
 
 EYE_NAMES = {
-    "K": "m k cameramatrix cammatrix cammat mtx intrinsic intrinsics intrinsicmatrix intrinsicsmatrix matrix",
-    "D": "d dist distcoeffs distcoeff distcoefs distcoef distortioncoefficients distortioncoefficient distortioncoeffs "
-    "distortioncoeff distortioncoefs distortion distortionvector distortions disto coeffs kc distcoefficients "
-    "distcoefficient distparams lensdistortion",
+    "K": (
+        "m k cameramatrix cammatrix cammat mtx intrinsic intrinsics intrinsicmatrix"
+        " intrinsicsmatrix matrix"
+    ),
+    "D": (
+        "d dist distcoeffs distcoeff distcoefs distcoef distortioncoefficients"
+        " distortioncoefficient distortioncoeffs distortioncoeff distortioncoefs distortion"
+        " distortionvector distortions disto coeffs kc distcoefficients distcoefficient distparams"
+        " lensdistortion"
+    ),
     "P": "p projection projectionmatrix proj",
     "size": "size imagesize imgsize resolution res",
 }
@@ -35,7 +41,9 @@ MARKS = {"left": "1", "l": "1", "right": "2", "r": "2", "0": "1", "1": "1", "2":
 """Marks of an eye before or behind a name; a file that counts from 0 is known by its 0."""
 
 _SIDE = "left|right|l|r|[012]"
-_WORDS = "|".join(sorted((word for words in EYE_NAMES.values() for word in words.split()), key=len, reverse=True))
+_WORDS = "|".join(
+    sorted((word for words in EYE_NAMES.values() for word in words.split()), key=len, reverse=True)
+)
 _EYE = re.compile(rf"(?:cam(?:era)?)?({_SIDE})?({_WORDS})({_SIDE})?")
 _FISHEYE = re.compile(r"fish_?eye|(?<![a-z])fe(?![a-z])", re.IGNORECASE)
 
@@ -48,8 +56,11 @@ _KNOWN = re.compile(
 """Entries that mean nothing for the geometry of the recorded images."""
 
 
-def sort_entries(path: Path, entries: dict[str, Any]) -> tuple[dict[str, F64], dict[str, Any], bool]:
-    """The entries by our name for them, those that are not known, and whether a name says "fisheye".
+def sort_entries(
+    path: Path, entries: dict[str, Any]
+) -> tuple[dict[str, F64], dict[str, Any], bool]:
+    """The entries by our name for them, those that are not known, and whether a name says
+    "fisheye".
 
     Raises
     ------
@@ -68,7 +79,9 @@ def sort_entries(path: Path, entries: dict[str, Any]) -> tuple[dict[str, F64], d
         eye = "2" if mark == "1" and counts_from_0 else MARKS.get(mark, "")
         ours, array = word + eye, numbers(path, key, value)
         if ours in found and not np.array_equal(found[ours], array):
-            raise CalibrationError(f"has two {ours} that differ", file=path, key=key, remedy="Leave one of them out")
+            raise CalibrationError(
+                f"has two {ours} that differ", file=path, key=key, remedy="Leave one of them out"
+            )
         found[ours] = array
         fisheye |= word == "D" and bool(_FISHEYE.search(key)) and bool(array.any())
     return found, unread, fisheye
@@ -87,7 +100,10 @@ def _name(key: str) -> tuple[str, str] | None:
     match = _EYE.fullmatch(_plain(_FISHEYE.sub("", key)))
     if match is None or bool(match[1]) == bool(match[3]):
         return None
-    return next(name for name, words in EYE_NAMES.items() if match[2] in words.split()), match[1] or match[3]
+    return (
+        next(name for name, words in EYE_NAMES.items() if match[2] in words.split()),
+        match[1] or match[3],
+    )
 
 
 def also(key: str) -> str:
@@ -95,5 +111,7 @@ def also(key: str) -> str:
     if key[:-1] in EYE_NAMES:
         side = {"1": "left", "2": "right"}[key[-1]]
         words = EYE_NAMES[key[:-1]].split()[:4]
-        return ", ".join([*(word + key[-1] for word in words), *(f"{side}_{word}" for word in words)])
+        return ", ".join(
+            [*(word + key[-1] for word in words), *(f"{side}_{word}" for word in words)]
+        )
     return SHARED_NAMES[key].replace(" ", ", ")

@@ -1,4 +1,6 @@
-"""Settings of ORB-SLAM2 (LEFT.K, LEFT.D, LEFT.R, LEFT.P …) and ORB-SLAM3 (Camera1.fx … Stereo.T_c1_c2)."""
+"""Settings of ORB-SLAM2 (LEFT.K, LEFT.D, LEFT.R, LEFT.P …) and ORB-SLAM3 (Camera1.fx …
+Stereo.T_c1_c2).
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,14 @@ import numpy as np
 from stereo_ore.errors import CalibrationError
 from stereo_ore.io.calibration import ros
 from stereo_ore.io.calibration.file_storage import parse_storage
-from stereo_ore.io.calibration.formats import Hints, numbers, raw_only, size_of, tell_unread, without_tail
+from stereo_ore.io.calibration.formats import (
+    Hints,
+    numbers,
+    raw_only,
+    size_of,
+    tell_unread,
+    without_tail,
+)
 from stereo_ore.io.calibration.geometry import make_calibration
 from stereo_ore.transforms import inverse, rotation_fault
 from stereo_ore.types import CameraModel, StereoCalibration
@@ -58,9 +67,12 @@ def _version_2(path: Path, data: dict[str, Any], hints: Hints) -> StereoCalibrat
             for letter, count in (("K", 9), ("D", None), ("R", 9), ("P", 12))
         }
         size = {
-            key: float(numbers(path, f"{side}.{key}", data.get(f"{side}.{key}"), 1)[0]) for key in ("width", "height")
+            key: float(numbers(path, f"{side}.{key}", data.get(f"{side}.{key}"), 1)[0])
+            for key in ("width", "height")
         }
-        eyes.append(eye | size | {"model": "plumb_bob" if len(eye["D"]) <= 5 else "rational_polynomial"})
+        eyes.append(
+            eye | size | {"model": "plumb_bob" if len(eye["D"]) <= 5 else "rational_polynomial"}
+        )
     return ros.combine((path, path), eyes[0], eyes[1], hints)
 
 
@@ -74,7 +86,11 @@ def _version_3(path: Path, data: dict[str, Any], hints: Hints) -> StereoCalibrat
     if fault := rotation_fault(T_left_right[:3, :3]):
         raise CalibrationError(f"the rotation {fault}", file=path, key="Stereo.T_c1_c2")
     T = inverse(T_left_right)
-    size = [data["Camera.width"], data["Camera.height"]] if {"Camera.width", "Camera.height"} <= data.keys() else None
+    size = (
+        [data["Camera.width"], data["Camera.height"]]
+        if {"Camera.width", "Camera.height"} <= data.keys()
+        else None
+    )
     left, right = (_camera(path, data, name, kind) for name in ("Camera1", "Camera2"))
     if any(left.distortion) != any(right.distortion):
         log.warning("%s: only one eye has distortion; the other is taken for an ideal lens", path)
@@ -91,10 +107,16 @@ def _version_3(path: Path, data: dict[str, Any], hints: Hints) -> StereoCalibrat
 
 
 def _camera(path: Path, data: dict[str, Any], name: str, kind: str) -> CameraModel:
-    values = {key.partition(".")[2]: value for key, value in data.items() if key.startswith(f"{name}.")}
+    values = {
+        key.partition(".")[2]: value for key, value in data.items() if key.startswith(f"{name}.")
+    }
     known = ("fx", "fy", "cx", "cy", *_COEFFICIENTS[kind], "overlappingBegin", "overlappingEnd")
-    tell_unread(path, {key: value for key, value in values.items() if key not in known}, f"{name}: ")
-    fx, fy, cx, cy = (float(numbers(path, f"{name}.{key}", values.get(key), 1)[0]) for key in known[:4])
+    tell_unread(
+        path, {key: value for key, value in values.items() if key not in known}, f"{name}: "
+    )
+    fx, fy, cx, cy = (
+        float(numbers(path, f"{name}.{key}", values.get(key), 1)[0]) for key in known[:4]
+    )
     D = numbers(path, f"{name}.k1", [values.get(key, 0.0) for key in _COEFFICIENTS[kind]]).tolist()
     if kind == "KannalaBrandt8":
         return CameraModel((fx, fy), (cx, cy), tuple(D), "equidistant")

@@ -7,11 +7,14 @@ from collections.abc import Callable, Sequence
 
 from stereo_ore.errors import CalibrationError
 
-_MARKS = re.compile(r"left|right|\.(png|jpe?g|tiff?|bmp|pgm|ppm|webp)$|(?<![a-z])[lr](?![a-z])", re.IGNORECASE)
+_MARKS = re.compile(
+    r"left|right|\.(png|jpe?g|tiff?|bmp|pgm|ppm|webp)$|(?<![a-z])[lr](?![a-z])", re.IGNORECASE
+)
 
 
 def match_names(rows: Sequence[str], frames: Sequence[str]) -> dict[str, int]:
-    """The row of each frame: equal names or, where that is the only possible match, equal numbers in them.
+    """The row of each frame: equal names or, where that is the only possible match, equal numbers
+    in them.
 
     A spreadsheet makes 1 of 0001, and a name may carry the mark of an eye or the ending of a file.
 
@@ -28,9 +31,12 @@ def match_names(rows: Sequence[str], frames: Sequence[str]) -> dict[str, int]:
         if found and (alone or way is str):
             return found
     if not rows or not frames:
-        raise CalibrationError(f"{len(rows)} poses in the table, {len(frames)} pairs that show the board", key="poses")
+        raise CalibrationError(
+            f"{len(rows)} poses in the table, {len(frames)} pairs that show the board", key="poses"
+        )
     raise CalibrationError(
-        f"no name of the table is one of the recording: the table has {rows[0]!r:.60}, the recording {frames[0]!r:.60}",
+        f"no name of the table is one of the recording: the table has {rows[0]!r:.60}, the"
+        f" recording {frames[0]!r:.60}",
         key="poses",
         remedy="Give each pose the name of its pair",
     )
@@ -42,6 +48,8 @@ def _bare(name: str) -> str:
 
 
 def _number(name: str) -> str:
-    """The number in a name that has one, without the zeros before it; the name itself where it has several or none."""
+    """The number in a name that has one, without the zeros before it; the name itself where it has
+    several or none.
+    """
     numbers = re.findall(r"\d+", re.sub(r"\.0+$", "", _MARKS.sub("", name.strip())))
     return str(int(numbers[0])) if len(numbers) == 1 and len(numbers[0]) < 20 else name

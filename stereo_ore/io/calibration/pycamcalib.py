@@ -1,4 +1,6 @@
-"""pyCamCalib's three JSON: one an eye, and ``…_TransformationMatrix.json`` with X_2 = H·X_1 in millimetres."""
+"""pyCamCalib's three JSON: one an eye, and ``…_TransformationMatrix.json`` with X_2 = H·X_1 in
+millimetres.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,15 @@ from typing import Any
 import numpy as np
 
 from stereo_ore.errors import CalibrationError
-from stereo_ore.io.calibration.formats import Hints, numbers, one_size, parse_json, raw_only, read_file, tell_unread
+from stereo_ore.io.calibration.formats import (
+    Hints,
+    numbers,
+    one_size,
+    parse_json,
+    raw_only,
+    read_file,
+    tell_unread,
+)
 from stereo_ore.io.calibration.geometry import UNITS_M, make_calibration
 from stereo_ore.types import CameraModel, StereoCalibration
 
@@ -46,7 +56,9 @@ def text_of(path: Path) -> Path:
 
 def recognises(text: str) -> bool:
     """Whether the text is one of the three."""
-    return '"radial_dist_coeffs"' in text or ('"H"' in text and '"units"' in text and text.lstrip().startswith("{"))
+    return '"radial_dist_coeffs"' in text or (
+        '"H"' in text and '"units"' in text and text.lstrip().startswith("{")
+    )
 
 
 def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
@@ -64,8 +76,12 @@ def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
     T = numbers(pose, "H", H.get("H"), 16).reshape(4, 4)
     unit = H.get("units", "mm")
     if unit not in UNITS_M:
-        raise CalibrationError(f"{unit!r:.20} is none of {', '.join(UNITS_M)}", file=pose, key="units")
-    left, right = (_camera(pose.with_name(name), eye) for name, eye in zip(_EYES, eyes, strict=True))
+        raise CalibrationError(
+            f"{unit!r:.20} is none of {', '.join(UNITS_M)}", file=pose, key="units"
+        )
+    left, right = (
+        _camera(pose.with_name(name), eye) for name, eye in zip(_EYES, eyes, strict=True)
+    )
     return make_calibration(
         path,
         image_size=one_size(path, [eye.get("sensor_dimensions") for eye in eyes], hints),
@@ -85,7 +101,9 @@ def _pose_file(path: Path) -> Path:
     if len(found) != 1:
         names = ", ".join(file.name for file in found) or "none"
         problem = f"needs one …{POSE} beside it; there is {names}"
-        raise CalibrationError(problem, file=path, remedy=f"Name that file instead, beside {' and '.join(_EYES)}")
+        raise CalibrationError(
+            problem, file=path, remedy=f"Name that file instead, beside {' and '.join(_EYES)}"
+        )
     return found[0]
 
 
@@ -99,7 +117,10 @@ def _camera(path: Path, eye: dict[str, Any]) -> CameraModel:
     if eye.get("s"):
         raise CalibrationError(f"a skew of {eye['s']!r:.20} is not supported", file=path, key="s")
     if len(radial) > 3 or len(tangential) > 2:
-        problem = f"has {len(radial)} radial and {len(tangential)} tangential coefficients; 3 and 2 are the most"
+        problem = (
+            f"has {len(radial)} radial and {len(tangential)} tangential coefficients; 3 and 2 are"
+            " the most"
+        )
         raise CalibrationError(problem, file=path, key="radial_dist_coeffs")
     (k1, k2, k3), (p1, p2) = (*radial, 0.0, 0.0, 0.0)[:3], (*tangential, 0.0, 0.0)[:2]
     return CameraModel((fx, fy), (cx, cy), (k1, k2, p1, p2, k3))

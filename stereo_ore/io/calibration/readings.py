@@ -1,4 +1,6 @@
-"""What tables of arm poses usually hold, and which of it fits the board: Euler angles, degrees, inverses, units."""
+"""What tables of arm poses usually hold, and which of it fits the board: Euler angles, degrees,
+inverses, units.
+"""
 
 from __future__ import annotations
 
@@ -26,12 +28,15 @@ NAMES = {
     "inverse": "arm_from_tool was inverted: poses of the base seen from the tool",
 }
 ORDERS = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")
-"""R is the product of the turns about the columns' axes in this order: zyx = Rz(rz)·Ry(ry)·Rx(rx)."""
+"""R is the product of the turns about the columns' axes in this order: zyx =
+Rz(rz)·Ry(ry)·Rx(rx)."""
 
 
 @dataclass(frozen=True)
 class PoseTable:
-    """Poses as a table has them: names, places (N, 3), rotation columns (N, 3) or quaternions (N, 4)."""
+    """Poses as a table has them: names, places (N, 3), rotation columns (N, 3) or quaternions (N,
+    4).
+    """
 
     names: tuple[str, ...]
     places: F64
@@ -40,7 +45,9 @@ class PoseTable:
 
 @dataclass(frozen=True)
 class Reading:
-    """How the numbers of a table are meant; `mirror` is the axis whose sign is turned in a left-handed table."""
+    """How the numbers of a table are meant; `mirror` is the axis whose sign is turned in a
+    left-handed table.
+    """
 
     rotation: str = ""
     inverse: bool = False
@@ -58,14 +65,20 @@ class Reading:
         """What the table holds, in words."""
         kind, _, unit = self.rotation.partition("-")
         if kind in NAMES:
-            text = NAMES[kind] + (f" in {'degrees' if unit == 'deg' else 'radians'}" if unit else "")
+            text = NAMES[kind] + (
+                f" in {'degrees' if unit == 'deg' else 'radians'}" if unit else ""
+            )
         else:
             turns = "·".join(f"R{axis}" for axis in kind.removesuffix("r"))
             columns = "columns z, y, x" if kind.endswith("r") else "columns x, y, z"
-            text = f"Euler angles in {'degrees' if unit == 'deg' else 'radians'}, {turns} ({columns})"
+            text = (
+                f"Euler angles in {'degrees' if unit == 'deg' else 'radians'}, {turns} ({columns})"
+            )
         text += f"; {NAMES['inverse']}" if self.inverse else ""
         text += f"; {self.unit} for metres" if self.unit != "m" else ""
-        return text + (f"; left-handed axes (turn the sign of {self.mirror})" if self.mirror else "")
+        return text + (
+            f"; left-handed axes (turn the sign of {self.mirror})" if self.mirror else ""
+        )
 
 
 def parse_reading(code: str) -> Reading:
@@ -73,14 +86,20 @@ def parse_reading(code: str) -> Reading:
     words = code.split(",")
     units = [word for word in words[1:] if word != "inverse"]
     if words[0] not in _codes() or len(units) > 1 or not set(units) <= UNITS_M.keys():
-        remedy = f"Use one of {', '.join(_codes())}, with inverse or a unit ({', '.join(UNITS_M)}) behind commas"
+        remedy = (
+            f"Use one of {', '.join(_codes())}, with inverse or a unit ({', '.join(UNITS_M)})"
+            " behind commas"
+        )
         raise CalibrationError(f"{code!r} is no reading of a table", key="--table", remedy=remedy)
     return Reading(words[0], "inverse" in words[1:], units[0] if units else "m")
 
 
 def _codes() -> list[str]:
     euler = [
-        f"{order}{end}-{unit}" for order in (*ORDERS, "zyz", "zxz") for end in ("", "r") for unit in ("rad", "deg")
+        f"{order}{end}-{unit}"
+        for order in (*ORDERS, "zyz", "zxz")
+        for end in ("", "r")
+        for unit in ("rad", "deg")
     ]
     return ["rotvec-rad", "rotvec-deg", *euler, "xyzw", "wxyz"]
 
@@ -105,11 +124,15 @@ def _rotations(values: F64, code: str) -> list[F64]:
     angles = np.radians(values) if unit == "deg" else values
     if kind == "rotvec":
         return [rotation_matrix(row) for row in angles]
-    return [_euler(row[::-1] if kind.endswith("r") else row, kind.removesuffix("r")) for row in angles]
+    return [
+        _euler(row[::-1] if kind.endswith("r") else row, kind.removesuffix("r")) for row in angles
+    ]
 
 
 def _euler(angles: F64, order: str) -> F64:
-    """The product of turns about the axes in `order`; of the usual orders an angle belongs to its column's axis."""
+    """The product of turns about the axes in `order`; of the usual orders an angle belongs to its
+    column's axis.
+    """
     by_axis = len(set(order)) == 3
     R = np.eye(3)
     for place, axis in enumerate(order):
@@ -126,8 +149,11 @@ def from_quaternion(q: F64) -> F64:
     return np.asarray(np.eye(3) + 2 * w * cross + 2 * cross @ cross, np.float64)
 
 
-def fitting_readings(table: PoseTable, boards: Sequence[F64], fixed: bool) -> Iterator[tuple[Reading, float]]:
-    """Readings whose motions go with the board's, each with the root mean square of what is left [m].
+def fitting_readings(
+    table: PoseTable, boards: Sequence[F64], fixed: bool
+) -> Iterator[tuple[Reading, float]]:
+    """Readings whose motions go with the board's, each with the root mean square of what is left
+    [m].
 
     Parameters
     ----------
@@ -138,7 +164,9 @@ def fitting_readings(table: PoseTable, boards: Sequence[F64], fixed: bool) -> It
     fixed
         Whether the camera stands still and the board is on the tool.
     """
-    codes = [code for code in _codes() if ((code in ("xyzw", "wxyz")) == (table.rotations.shape[1] == 4))]
+    codes = [
+        code for code in _codes() if ((code in ("xyzw", "wxyz")) == (table.rotations.shape[1] == 4))
+    ]
     pairs = list(itertools.combinations(range(len(boards)), 2))
     turns = [(boards[j] @ inverse(boards[i])) for i, j in pairs]
     for code, inverted, mirror in itertools.product(codes, (False, True), ("", "y", "x", "z")):
@@ -154,7 +182,9 @@ def fitting_readings(table: PoseTable, boards: Sequence[F64], fixed: bool) -> It
 
 
 def _fit(A: Sequence[F64], B: Sequence[F64]) -> tuple[float, float] | None:
-    """Scale of the arm's lengths, and residual [m], of A·X = X·B (Park & Martin 1994); None where the turns differ."""
+    """Scale of the arm's lengths, and residual [m], of A·X = X·B (Park & Martin 1994); None where
+    the turns differ.
+    """
     axes_A, axes_B = (np.array([_vector(T[:3, :3]) for T in side]) for side in (A, B))
     R = nearest_rotation(axes_A.T @ axes_B)
     if np.sqrt(((axes_A - axes_B @ R.T) ** 2).sum(1).mean()) > SAME_TURNS_RAD:

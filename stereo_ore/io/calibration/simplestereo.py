@@ -1,4 +1,6 @@
-"""simplestereo's JSON: res1, intrinsic1, distCoeffs1 … R, T in the board's unit; X_2 = R·X_1 + T."""
+"""simplestereo's JSON: res1, intrinsic1, distCoeffs1 … R, T in the board's unit; X_2 = R·X_1 +
+T.
+"""
 
 from __future__ import annotations
 

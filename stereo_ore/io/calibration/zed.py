@@ -44,19 +44,28 @@ def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
     Raises
     ------
     CalibrationError
-        When the size is not given, is no ZED mode or not in the file; when a key is missing or no number.
+        When the size is not given, is no ZED mode or not in the file; when a key is missing or no
+        number.
     """
     sections = _parse(path, text)
     mode = _mode(path, sections, hints.image_size or hints.recorded_size)
     if hints.images == "rectified":
         raise CalibrationError(
-            "a factory file describes the raw images, not the rectified ones that the ZED SDK writes",
+            "a factory file describes the raw images, not the rectified ones that the ZED SDK"
+            " writes",
             file=path,
-            remedy="Take fx, cx, cy and the baseline from the SDK (calibration_parameters) into a native YAML",
+            remedy=(
+                "Take fx, cx, cy and the baseline from the SDK (calibration_parameters) into a"
+                " native YAML"
+            ),
         )
     eyes = {side: _eye(path, sections, side, mode) for side in ("left", "right")}
     stereo = sections.get("stereo", {})
-    tell_unread(path, {key: value for key, value in stereo.items() if not _STEREO.fullmatch(key)}, "[STEREO] ")
+    tell_unread(
+        path,
+        {key: value for key, value in stereo.items() if not _STEREO.fullmatch(key)},
+        "[STEREO] ",
+    )
     rotation = [_stereo(path, stereo, names, mode) for names in (("rx",), ("cv", "ry"), ("rz",))]
     baseline = _require(path, stereo, "baseline", "STEREO")
     shift = [_stereo(path, stereo, (name,), mode, missing=0.0) for name in ("ty", "tz")]
@@ -78,7 +87,9 @@ def _parse(path: Path, text: str) -> dict[str, Values]:
     try:
         parser.read_string(text)
     except configparser.Error as fault:
-        raise CalibrationError(f"is not a valid INI file: {str(fault).splitlines()[0]}", file=path) from None
+        raise CalibrationError(
+            f"is not a valid INI file: {str(fault).splitlines()[0]}", file=path
+        ) from None
     return {name.lower(): _numbers(path, name, parser[name]) for name in parser.sections()}
 
 
@@ -89,7 +100,9 @@ def _numbers(path: Path, section: str, items: configparser.SectionProxy) -> Valu
             values[key.lower()] = float(text)
         except (TypeError, ValueError):
             if section.upper() == "STEREO" or "_CAM_" in section.upper():
-                raise CalibrationError(f"{text!r} is not a number", file=path, key=f"[{section}] {key}") from None
+                raise CalibrationError(
+                    f"{text!r} is not a number", file=path, key=f"[{section}] {key}"
+                ) from None
     return values
 
 
@@ -99,19 +112,24 @@ def _mode(path: Path, sections: dict[str, Values], size: tuple[int, int] | None)
     if size is None and len(present) == 1:
         return present[0]
     if size is None:
-        raise CalibrationError(f"holds several resolutions: {names}", file=path, remedy="Say which with --size WxH")
+        raise CalibrationError(
+            f"holds several resolutions: {names}", file=path, remedy="Say which with --size WxH"
+        )
     for mode in present:
         if SIZES[mode] == tuple(size):
             return mode
     raise CalibrationError(
-        f"has no calibration for images of {size[0]}×{size[1]} px, only {names or 'none'}", file=path
+        f"has no calibration for images of {size[0]}×{size[1]} px, only {names or 'none'}",
+        file=path,
     )
 
 
 def _require(path: Path, values: Values, key: str, section: str) -> float:
     if key in values:
         return values[key]
-    raise CalibrationError(f"key is missing{nearest(key, values)}", file=path, key=f"[{section}] {key}")
+    raise CalibrationError(
+        f"key is missing{nearest(key, values)}", file=path, key=f"[{section}] {key}"
+    )
 
 
 def _eye(path: Path, sections: dict[str, Values], side: str, mode: str) -> CameraModel:
@@ -124,14 +142,24 @@ def _eye(path: Path, sections: dict[str, Values], side: str, mode: str) -> Camer
     return CameraModel((fx, fy), (cx, cy), *lens)
 
 
-def _lens(path: Path, narrow: Values, wide: Values, side: str) -> tuple[tuple[float, ...], Projection]:
-    """Coefficients and projection, from the mode's own section or from ``[LEFT_DISTO]`` of newer files.
+def _lens(
+    path: Path, narrow: Values, wide: Values, side: str
+) -> tuple[tuple[float, ...], Projection]:
+    """Coefficients and projection, from the mode's own section or from ``[LEFT_DISTO]`` of newer
+    files.
 
-    k1…k4 without p1 and p2 are those of a fisheye lens (Kannala-Brandt); with them, up to twelve of OpenCV's.
+    k1…k4 without p1 and p2 are those of a fisheye lens (Kannala-Brandt); with them, up to twelve of
+    OpenCV's.
     """
     for name, section in ((f"{side} eye: ", narrow), (f"[{side.upper()}_DISTO] ", wide)):
-        tell_unread(path, {key: v for key, v in section.items() if key not in (*_CAMERA, *_DISTORTION)}, name)
-    own, common = ({key: part[key] for key in _DISTORTION if key in part} for part in (narrow, wide))
+        tell_unread(
+            path,
+            {key: v for key, v in section.items() if key not in (*_CAMERA, *_DISTORTION)},
+            name,
+        )
+    own, common = (
+        {key: part[key] for key in _DISTORTION if key in part} for part in (narrow, wide)
+    )
     if any(own.values()) and any(common.values()) and {**own, **common} != {**common, **own}:
         problem = f"gives the {side} lens two sets of coefficients that differ"
         raise CalibrationError(problem, file=path, key=f"[{side.upper()}_DISTO]")
@@ -142,7 +170,9 @@ def _lens(path: Path, narrow: Values, wide: Values, side: str) -> tuple[tuple[fl
     return without_tail((found.get(key, 0.0) for key in _DISTORTION), keep), "pinhole"
 
 
-def _stereo(path: Path, stereo: Values, names: tuple[str, ...], mode: str, missing: float | None = None) -> float:
+def _stereo(
+    path: Path, stereo: Values, names: tuple[str, ...], mode: str, missing: float | None = None
+) -> float:
     """A value of [STEREO], spelled with the mode's suffix or without it."""
     for key in (spelling for name in names for spelling in (f"{name}_{mode}".lower(), name)):
         if key in stereo:

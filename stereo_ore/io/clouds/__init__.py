@@ -1,4 +1,6 @@
-"""Clouds in and out: PLY, PCD, text, NPY, NPZ, LAS. A format is a line of the registry; every column is kept."""
+"""Clouds in and out: PLY, PCD, text, NPY, NPZ, LAS. A format is a line of the registry; every
+column is kept.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +49,8 @@ def format_of(path: Path) -> str:
     """The format a file's name stands for; CloudError for an unknown one."""
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
-        raise CloudError(f"{suffix or 'a name without an ending'} is no known cloud format", file=path,
+        raise CloudError(f"{suffix or 'a name without an ending'} is no known cloud format",
+        file=path,
                          remedy=f"Use one of {', '.join(FORMATS)}")  # fmt: skip
     return suffix
 
@@ -58,7 +61,8 @@ def read(path: Path) -> Records:
     Raises
     ------
     CloudError
-        When the file is missing, damaged, of an unknown format, has no x, y, z, or claims more than it holds.
+        When the file is missing, damaged, of an unknown format, has no x, y, z, or claims more than
+        it holds.
     """
     reader, _ = FORMATS[format_of(path)]
     try:
@@ -72,7 +76,9 @@ def read(path: Path) -> Records:
 
 
 def viewpoint(path: Path) -> Viewpoint | None:
-    """Where the sensor was: x, y, z and a quaternion with w first, of a PCD file that does not say the origin."""
+    """Where the sensor was: x, y, z and a quaternion with w first, of a PCD file that does not say
+    the origin.
+    """
     return pcd.viewpoint(path) if format_of(path) == ".pcd" else None
 
 

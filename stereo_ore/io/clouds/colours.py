@@ -1,4 +1,6 @@
-"""Colours of points: three columns of bytes everywhere but in PCD, which packs them into one field."""
+"""Colours of points: three columns of bytes everywhere but in PCD, which packs them into one
+field.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,9 @@ SHIFTS = (16, 8, 0, 24)
 
 
 def unpack(records: Records) -> Records:
-    """The records with ``rgb`` or ``rgba``, 32 bits that may pass for a float, as columns of bytes."""
+    """The records with ``rgb`` or ``rgba``, 32 bits that may pass for a float, as columns of
+    bytes.
+    """
     columns = columns_of(records)
     for packed, names in (("rgb", RGB), ("rgba", (*RGB, "alpha"))):
         column = columns.get(packed)
@@ -28,7 +32,9 @@ def unpack(records: Records) -> Records:
 
 
 def pack(records: Records) -> Records:
-    """The records with red, green, blue (and alpha) as one field ``rgb`` (``rgba``), where they are bytes."""
+    """The records with red, green, blue (and alpha) as one field ``rgb`` (``rgba``), where they are
+    bytes.
+    """
     columns = columns_of(records)
     names = (*RGB, "alpha") if "alpha" in columns else RGB
     if not set(names) <= columns.keys() or any(columns[name].dtype != np.uint8 for name in names):
@@ -37,18 +43,25 @@ def pack(records: Records) -> Records:
     for name, shift in zip(names, SHIFTS, strict=False):
         packed |= columns[name].astype(np.uint32) << np.uint32(shift)
     replaced = _in_place(columns, names[0], {"rgba" if len(names) == 4 else "rgb": packed})
-    return from_columns({name: column for name, column in replaced.items() if name not in names[1:]})
+    return from_columns(
+        {name: column for name, column in replaced.items() if name not in names[1:]}
+    )
 
 
 def as_bytes(columns: Columns) -> Columns:
-    """Columns called red, green, blue and alpha as bytes, where they are whole numbers from 0 to 255."""
+    """Columns called red, green, blue and alpha as bytes, where they are whole numbers from 0 to
+    255.
+    """
     names = [name for name in (*RGB, "alpha") if name in columns]
     fits = all(
         columns[name].dtype.kind in "iu"
         and (not columns[name].size or 0 <= columns[name].min() <= columns[name].max() <= 255)
         for name in names
     )
-    return {name: column.astype(np.uint8) if fits and name in names else column for name, column in columns.items()}
+    return {
+        name: column.astype(np.uint8) if fits and name in names else column
+        for name, column in columns.items()
+    }
 
 
 def _in_place(columns: Columns, old: str, new: Columns) -> Columns:

@@ -1,4 +1,6 @@
-"""LAS and LAZ through laspy (extra ``las``): whole numbers times a scale; other columns as extra dimensions."""
+"""LAS and LAZ through laspy (extra ``las``): whole numbers times a scale; other columns as extra
+dimensions.
+"""
 
 from __future__ import annotations
 
@@ -12,16 +14,25 @@ import numpy as np
 import numpy.typing as npt
 
 from stereo_ore.errors import CloudError, MissingExtraError
-from stereo_ore.io.clouds.records import Columns, Records, columns_of, from_columns, require_bytes, require_xyz
+from stereo_ore.io.clouds.records import (
+    Columns,
+    Records,
+    columns_of,
+    from_columns,
+    require_bytes,
+    require_xyz,
+)
 
 log = logging.getLogger(__name__)
 
 FINEST = 1e-5
-"""Scale of the coordinates in the file's unit, where 32 bits allow it; laspy's own 0.01 would round to centimetres."""
+"""Scale of the coordinates in the file's unit, where 32 bits allow it; laspy's own 0.01 would round
+to centimetres."""
 
 RGB = ("red", "green", "blue")
 HEADER_BYTES, VLR_BYTES, EVLR_BYTES = 375, 54, 60
-"""Of LAS 1.4: its header, and the heads of its variable-length records before and behind the points."""
+"""Of LAS 1.4: its header, and the heads of its variable-length records before and behind the
+points."""
 
 COMPRESSED, MOST_TIMES = 0x80, 1000
 """Flag of LAZ in the point format, and how many times it may make points smaller."""
@@ -38,7 +49,8 @@ def _laspy() -> Any:
 
 
 def read(path: Path) -> Records:
-    """Points of a LAS or LAZ file with their dimensions; colours of 16 bits that use all of them are brought to 8.
+    """Points of a LAS or LAZ file with their dimensions; colours of 16 bits that use all of them
+    are brought to 8.
 
     Raises
     ------
@@ -53,21 +65,34 @@ def read(path: Path) -> Records:
         cloud = laspy.read(path)
     except Exception as fault:
         text = " ".join(str(fault).split())[:200] or type(fault).__name__
-        raise CloudError(f"is not a whole LAS file: {text}", file=path, remedy="Export it again") from None
+        raise CloudError(
+            f"is not a whole LAS file: {text}", file=path, remedy="Export it again"
+        ) from None
     columns = {axis: np.asarray(getattr(cloud, axis), np.float64) for axis in "xyz"}
     for name in cloud.point_format.dimension_names:
-        if name not in OWN and (column := np.asarray(cloud[name])).ndim == 1 and (column.any() or name in RGB):
+        if (
+            name not in OWN
+            and (column := np.asarray(cloud[name])).ndim == 1
+            and (column.any() or name in RGB)
+        ):
             columns[name] = column
     return require_xyz(from_columns(_eight_bits(columns)), path)
 
 
 def _check_header(path: Path) -> None:
-    """Refuse a header that claims more records or points than the file can hold: laspy would look for them all."""
+    """Refuse a header that claims more records or points than the file can hold: laspy would look
+    for them all.
+    """
     with path.open("rb") as file:
         head = file.read(HEADER_BYTES)
     if head[:4] != b"LASF" or len(head) < 227:
-        raise CloudError("does not begin with a LAS header", file=path, remedy="Is it a LAS or LAZ file?")
-    size, (header, start, records, kind, length, points) = path.stat().st_size, struct.unpack_from("<HIIBHI", head, 94)
+        raise CloudError(
+            "does not begin with a LAS header", file=path, remedy="Is it a LAS or LAZ file?"
+        )
+    size, (header, start, records, kind, length, points) = (
+        path.stat().st_size,
+        struct.unpack_from("<HIIBHI", head, 94),
+    )
     late, start_late = 0, size
     if header >= HEADER_BYTES and len(head) == HEADER_BYTES:
         start_late, late, points = struct.unpack_from("<QIQ", head, 235)
@@ -101,8 +126,13 @@ def write(path: Path, records: Records) -> None:
     xyz = np.stack([np.asarray(columns.pop(axis), np.float64) for axis in "xyz"], -1)
     if not np.isfinite(xyz).all():
         bad = int((~np.isfinite(xyz).all(1)).sum())
-        raise CloudError(f"{bad:,} points have no finite coordinates, which LAS can't hold", remedy="Write PLY or PCD")
-    has_colours = all(columns.get(name) is not None and columns[name].dtype == np.uint8 for name in RGB)
+        raise CloudError(
+            f"{bad:,} points have no finite coordinates, which LAS can't hold",
+            remedy="Write PLY or PCD",
+        )
+    has_colours = all(
+        columns.get(name) is not None and columns[name].dtype == np.uint8 for name in RGB
+    )
     header = laspy.LasHeader(point_format=7 if has_colours else 6, version="1.4")
     header.offsets, header.scales = _frame(xyz)
     known = {name.lower() for name in header.point_format.dimension_names}
@@ -122,7 +152,9 @@ def write(path: Path, records: Records) -> None:
 
 
 def _frame(xyz: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Offsets and scales: whole numbers about the middle, the finest scale at which 32 bits reach both ends."""
+    """Offsets and scales: whole numbers about the middle, the finest scale at which 32 bits reach
+    both ends.
+    """
     if not len(xyz):
         return np.zeros(3), np.full(3, FINEST)
     low, high = xyz.min(0), xyz.max(0)
@@ -141,7 +173,8 @@ def _dimension_names(names: list[str], known: set[str]) -> list[str]:
         found.append(short)
     if found != names:
         log.warning(
-            "columns renamed for LAS: %s", ", ".join(f"{a} → {b}" for a, b in zip(names, found, strict=True) if a != b)
+            "columns renamed for LAS: %s",
+            ", ".join(f"{a} → {b}" for a, b in zip(names, found, strict=True) if a != b),
         )
     return found
 

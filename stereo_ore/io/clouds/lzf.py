@@ -7,7 +7,8 @@ MOST_TIMES = 300
 
 
 def decompress(data: bytes, size: int) -> bytes:
-    """The `size` bytes in LZF data: runs of literals (a length below 32) and copies of what came before.
+    """The `size` bytes in LZF data: runs of literals (a length below 32) and copies of what came
+    before.
 
     Raises
     ------

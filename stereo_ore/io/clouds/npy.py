@@ -29,7 +29,9 @@ def read_npy(path: Path) -> Records:
 
 
 def read_npz(path: Path) -> Records:
-    """Columns x, y, z and others of the same length, or an (N, 3) array called xyz, points or voxel_xyz."""
+    """Columns x, y, z and others of the same length, or an (N, 3) array called xyz, points or
+    voxel_xyz.
+    """
     return _from_named(load_arrays(path, CloudError), path)
 
 
@@ -48,7 +50,11 @@ def _from_named(arrays: dict[str, npt.NDArray[Any]], path: Path) -> Records:
         elif value.ndim == 1:
             columns[key] = value
         else:
-            columns |= {part: value[:, i] for i, part in enumerate(parts_of(key, value.shape[1])) if part not in base}
+            columns |= {
+                part: value[:, i]
+                for i, part in enumerate(parts_of(key, value.shape[1]))
+                if part not in base
+            }
     tell_left_out(path, left_out)
     if not {"x", "y", "z"} <= set(columns):
         raise CloudError("x, y and z differ in length or are no numbers", file=path)
@@ -67,4 +73,6 @@ def write_npy(path: Path, records: Records) -> None:
 def write_npz(path: Path, records: Records) -> None:
     """A named array a column."""
     with path.open("wb") as file:
-        np.savez(file, allow_pickle=False, **{name: records[name] for name in records.dtype.names or ()})
+        np.savez(
+            file, allow_pickle=False, **{name: records[name] for name in records.dtype.names or ()}
+        )

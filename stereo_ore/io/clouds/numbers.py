@@ -1,4 +1,6 @@
-"""Numbers in text: decimal commas, the ways in which a NaN is written, whole columns that stay whole."""
+"""Numbers in text: decimal commas, the ways in which a NaN is written, whole columns that stay
+whole.
+"""
 
 from __future__ import annotations
 
@@ -12,9 +14,13 @@ import numpy.typing as npt
 
 from stereo_ore.errors import CloudError
 
-NUMBER = re.compile(r"[+-]?(\d+\.?\d*([eE][+-]?\d+)?|\.\d+([eE][+-]?\d+)?|nan|inf(inity)?)", re.IGNORECASE)
+NUMBER = re.compile(
+    r"[+-]?(\d+\.?\d*([eE][+-]?\d+)?|\.\d+([eE][+-]?\d+)?|nan|inf(inity)?)", re.IGNORECASE
+)
 DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
-ODD_NAN = re.compile(r"[+-]?(\d*\.#?(q|s)?nan\w*|1\.#(ind|snan|qnan)\w*|nan[qs]|nan\([^)\s]*\))", re.IGNORECASE)
+ODD_NAN = re.compile(
+    r"[+-]?(\d*\.#?(q|s)?nan\w*|1\.#(ind|snan|qnan)\w*|nan[qs]|nan\([^)\s]*\))", re.IGNORECASE
+)
 ODD_INF = re.compile(r"([+-]?)1\.#inf\w*", re.IGNORECASE)
 
 EXACT = 2**53
@@ -24,7 +30,10 @@ EXACT = 2**53
 def is_number(word: str) -> bool:
     """Whether a word is a number, however a decimal point or a NaN is written."""
     return bool(
-        NUMBER.fullmatch(word) or DECIMAL_COMMA.fullmatch(word) or ODD_NAN.fullmatch(word) or ODD_INF.fullmatch(word)
+        NUMBER.fullmatch(word)
+        or DECIMAL_COMMA.fullmatch(word)
+        or ODD_NAN.fullmatch(word)
+        or ODD_INF.fullmatch(word)
     )
 
 
@@ -53,19 +62,30 @@ def column(words: Sequence[str], dtype: np.dtype[Any], name: str, path: Path) ->
 
 def _whole(words: Sequence[str], dtype: np.dtype[Any], name: str, path: Path) -> npt.NDArray[Any]:
     limits = np.iinfo(dtype)
-    values = [int(word) if re.fullmatch(r"[+-]?\d{1,19}", word) else float(plain(word)) for word in words]
+    values = [
+        int(word) if re.fullmatch(r"[+-]?\d{1,19}", word) else float(plain(word)) for word in words
+    ]
     if not all(value == value and limits.min <= value <= limits.max for value in values):
         raise CloudError(f"has a value that is no {dtype}", file=path, key=name)
     return np.array([int(value) for value in values], dtype)
 
 
 def narrowest(values: npt.NDArray[np.float64]) -> npt.NDArray[Any]:
-    """Doubles as floats of 32 bits where nine digits of those give the same doubles: they were such before."""
+    """Doubles as floats of 32 bits where nine digits of those give the same doubles: they were such
+    before.
+    """
     with np.errstate(over="ignore", invalid="ignore"):
         single = values.astype(np.float32)
-        near = np.isnan(values) | (values == single) | (np.abs(values - single) <= 5e-9 * np.abs(values))
+        near = (
+            np.isnan(values)
+            | (values == single)
+            | (np.abs(values - single) <= 5e-9 * np.abs(values))
+        )
     if not near.all():
         return values
     finite = np.isfinite(values) & (values != single)
-    same = all(float(f"{short:.9g}") == long for short, long in zip(single[finite], values[finite], strict=True))
+    same = all(
+        float(f"{short:.9g}") == long
+        for short, long in zip(single[finite], values[finite], strict=True)
+    )
     return single if same else values

@@ -1,4 +1,6 @@
-"""PCD 0.7 of the Point Cloud Library: ASCII, binary and compressed; colours are columns here, packed in the file."""
+"""PCD 0.7 of the Point Cloud Library: ASCII, binary and compressed; colours are columns here,
+packed in the file.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,8 @@ MOST_FIELDS, LONGEST_NUMBER = 10_000, 20
 SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
 
 GEOMETRY = ("x", "y", "z", "nx", "ny", "nz", "normal_x", "normal_y", "normal_z")
-"""Fields that PCL and Open3D take as 4-byte floats only: they see zeros or nothing where these are doubles."""
+"""Fields that PCL and Open3D take as 4-byte floats only: they see zeros or nothing where these are
+doubles."""
 
 MOST_MOVED = 1e-5
 """Share of the cloud's extent by which rounding to 4 bytes may move a point."""
@@ -44,12 +47,16 @@ ORIGIN: Viewpoint = (0, 0, 0, 1, 0, 0, 0)
 
 
 def read(path: Path) -> Records:
-    """Points of a PCD file; fields with several values a point are split into name_0, name_1 and so on."""
+    """Points of a PCD file; fields with several values a point are split into name_0, name_1 and so
+    on.
+    """
     with path.open("rb") as file:
         header = _header(file, path)
         dtype, count = _dtype(header, path), _count(header, path)
         points = _body(file, header["DATA"][0], dtype, count, path)
-    columns = {name: column for name, column in columns_of(points).items() if not name.startswith(PADDING)}
+    columns = {
+        name: column for name, column in columns_of(points).items() if not name.startswith(PADDING)
+    }
     names = known_names(list(columns))
     if len(set(names)) < len(names):
         names = list(columns)
@@ -61,7 +68,9 @@ PADDING = "\0"
 """Fields that PCL calls ``_`` are padding, as often as it likes; no column here begins so."""
 
 
-def _body(file: BinaryIO, encoding: str, dtype: np.dtype[np.void], count: int, path: Path) -> Records:
+def _body(
+    file: BinaryIO, encoding: str, dtype: np.dtype[np.void], count: int, path: Path
+) -> Records:
     left = path.stat().st_size - file.tell()
     if encoding == "ascii":
         require_bytes(2 * count * len(dtype.names or ()) - 1, left, path)
@@ -75,18 +84,24 @@ def _body(file: BinaryIO, encoding: str, dtype: np.dtype[np.void], count: int, p
     return _compressed(file, left, dtype, count, path)
 
 
-def _compressed(file: BinaryIO, left: int, dtype: np.dtype[np.void], count: int, path: Path) -> Records:
+def _compressed(
+    file: BinaryIO, left: int, dtype: np.dtype[np.void], count: int, path: Path
+) -> Records:
     """Two sizes, then the columns one after the other, packed together."""
     require_bytes(8, left, path)
     packed, size = struct.unpack("<II", file.read(8))
     require_bytes(packed, left - 8, path)
     if size != count * dtype.itemsize or size > MOST_TIMES * max(packed, 1):
-        problem = f"the header claims {count:,} points of {dtype.itemsize} bytes, the data {size:,} bytes"
+        problem = (
+            f"the header claims {count:,} points of {dtype.itemsize} bytes, the data {size:,} bytes"
+        )
         raise CloudError(problem, file=path, remedy="The file is damaged; export it again")
     try:
         data = decompress(file.read(packed), size)
     except ValueError as fault:
-        raise CloudError(str(fault), file=path, remedy="The file is damaged; export it again") from None
+        raise CloudError(
+            str(fault), file=path, remedy="The file is damaged; export it again"
+        ) from None
     points, at = np.empty(count, dtype), 0
     for name in dtype.names or ():
         kind = dtype[name]
@@ -121,7 +136,9 @@ def _header(file: BinaryIO, path: Path) -> dict[str, list[str]]:
                 break
     missing = [key for key in ("FIELDS", "SIZE", "TYPE", "DATA") if not header.get(key)]
     if missing:
-        raise CloudError(f"the header lacks {', '.join(missing)}", file=path, remedy="Is it a PCD file?")
+        raise CloudError(
+            f"the header lacks {', '.join(missing)}", file=path, remedy="Is it a PCD file?"
+        )
     return header
 
 
@@ -193,7 +210,10 @@ def _storable(name: str, column: npt.NDArray[Any]) -> npt.NDArray[Any]:
         extent = float(np.ptp(column[finite])) or 0.1 * float(np.abs(column[finite]).max())
         moved = float(np.abs(column[finite] - single[finite].astype(column.dtype)).max())
         if moved > MOST_MOVED * extent:
-            problem = f"4-byte floats, which PCL and Open3D want, would move points by {moved:.3g} along {name}"
+            problem = (
+                f"4-byte floats, which PCL and Open3D want, would move points by {moved:.3g} along"
+                f" {name}"
+            )
             remedy = "Write PLY, or take a far origin off the coordinates first"
             raise CloudError(problem, key=name, remedy=remedy)
     return single

@@ -27,8 +27,10 @@ from stereo_ore.io.clouds.rows import parse_rows
 log = logging.getLogger(__name__)
 
 TYPES = {
-    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
-    "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2",
+    "ushort": "u2",
+    "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4",
+    "float32": "f4",
     "double": "f8", "float64": "f8",
 }  # fmt: skip
 NAMES = {
@@ -65,7 +67,11 @@ def read(path: Path) -> Records:
         else:
             raise CloudError("has no vertex element", file=path)
         if element.has_list or any(e.has_list for e in before):
-            raise CloudError("has a list property in or before its vertices", file=path, remedy="Write points only")
+            raise CloudError(
+                "has a list property in or before its vertices",
+                file=path,
+                remedy="Write points only",
+            )
         points = _body(file, path, encoding, before, element)
     columns = columns_of(points)
     names = known_names(list(columns))
@@ -85,7 +91,9 @@ def _opened(path: Path) -> BinaryIO:
         return io.BytesIO(file.read().replace(b"\r", b"\n"))
 
 
-def _body(file: BinaryIO, path: Path, encoding: str, before: list[_Element], vertex: _Element) -> Records:
+def _body(
+    file: BinaryIO, path: Path, encoding: str, before: list[_Element], vertex: _Element
+) -> Records:
     start = file.tell()
     left = file.seek(0, 2) - start
     file.seek(start)
@@ -100,7 +108,11 @@ def _body(file: BinaryIO, path: Path, encoding: str, before: list[_Element], ver
     skip = sum(e.count * sum(np.dtype(kind).itemsize for _, kind in e.properties) for e in before)
     require_bytes(skip + vertex.count * dtype.itemsize, left, path)
     file.seek(skip, 1)
-    return np.frombuffer(file.read(vertex.count * dtype.itemsize), dtype) if dtype.names else np.empty(0, dtype)
+    return (
+        np.frombuffer(file.read(vertex.count * dtype.itemsize), dtype)
+        if dtype.names
+        else np.empty(0, dtype)
+    )
 
 
 def _header(file: BinaryIO, path: Path) -> tuple[str, list[_Element]]:
@@ -127,7 +139,9 @@ def _header(file: BinaryIO, path: Path) -> tuple[str, list[_Element]]:
 
 def _encoding(words: list[str], path: Path) -> str:
     if len(words) < 2 or words[1] not in ORDERS:
-        raise CloudError(f"format {' '.join(words[1:])!r} is none of {', '.join(ORDERS)}", file=path)
+        raise CloudError(
+            f"format {' '.join(words[1:])!r} is none of {', '.join(ORDERS)}", file=path
+        )
     return words[1]
 
 
@@ -146,7 +160,9 @@ def _property(words: list[str], elements: list[_Element], path: Path) -> None:
     elif len(words) == 3 and words[1] in TYPES and words[2] not in dict(element.properties):
         element.properties.append((words[2], TYPES[words[1]]))
     else:
-        raise CloudError(f"header line {' '.join(words)!r} is no property that can be read", file=path)
+        raise CloudError(
+            f"header line {' '.join(words)!r} is no property that can be read", file=path
+        )
 
 
 def write(path: Path, records: Records) -> None:
@@ -154,13 +170,22 @@ def write(path: Path, records: Records) -> None:
     records = fit_names(records)
     fields = [(name, _kind(records.dtype[name])) for name in records.dtype.names or ()]
     for name, column in columns_of(records).items():
-        if column.dtype.itemsize == 8 and column.dtype.kind in "iu" and len(column) and np.abs(column).max() > EXACT:
-            log.warning("column %s: PLY has no whole numbers of 64 bits; they are rounded to doubles", name)
+        if (
+            column.dtype.itemsize == 8
+            and column.dtype.kind in "iu"
+            and len(column)
+            and np.abs(column).max() > EXACT
+        ):
+            log.warning(
+                "column %s: PLY has no whole numbers of 64 bits; they are rounded to doubles", name
+            )
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(records)}"]
     header += [f"property {NAMES[kind]} {name}" for name, kind in fields]
     with path.open("wb") as file:
         file.write(("\n".join([*header, "end_header"]) + "\n").encode("ascii"))
-        file.write(records.astype(np.dtype([(name, "<" + kind) for name, kind in fields])).tobytes())
+        file.write(
+            records.astype(np.dtype([(name, "<" + kind) for name, kind in fields])).tobytes()
+        )
 
 
 def _kind(dtype: np.dtype[np.generic]) -> str:

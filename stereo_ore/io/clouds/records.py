@@ -1,4 +1,6 @@
-"""Clouds in files: a record a point, with whatever columns the file has; only x, y and z have a meaning here."""
+"""Clouds in files: a record a point, with whatever columns the file has; only x, y and z have a
+meaning here.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,8 @@ from stereo_ore.io.npz_io import LARGEST_SHOWN
 log = logging.getLogger(__name__)
 
 Records = npt.NDArray[np.void]
-"""Structured array (N,) with at least the fields x, y, z; others (colours, normals, anything) ride along."""
+"""Structured array (N,) with at least the fields x, y, z; others (colours, normals, anything) ride
+along."""
 
 Columns = dict[str, npt.NDArray[Any]]
 
@@ -27,7 +30,8 @@ NUMBERS = "iuf"
 COLUMNS = ("x", "y", "z", "red", "green", "blue", "nx", "ny", "nz", "alpha")
 
 MOST_POINTS_IN_ROWS = 16
-"""An array of three or four rows is turned when it has more columns; fewer may be points with their values."""
+"""An array of three or four rows is turned when it has more columns; fewer may be points with their
+values."""
 
 
 def xyz(records: Records) -> npt.NDArray[np.float64]:
@@ -50,12 +54,15 @@ def columns_of(records: Records) -> Columns:
 
 
 def from_array(values: npt.NDArray[Any], path: Path) -> Records:
-    """Records of a plain (N, C ≥ 3) array: x, y, z, then columns without a name; (3, N) and (4, N) are turned."""
+    """Records of a plain (N, C ≥ 3) array: x, y, z, then columns without a name; (3, N) and (4, N)
+    are turned.
+    """
     if values.dtype.names and values.ndim == 1:
         return require_xyz(flat(values, path), path)
     if values.ndim != 2 or values.shape[1] < 3 or not np.issubdtype(values.dtype, np.number):
         raise CloudError(
-            f"holds {values.dtype} of shape {values.shape}; numbers of shape (N, 3 or more) wanted", file=path
+            f"holds {values.dtype} of shape {values.shape}; numbers of shape (N, 3 or more) wanted",
+            file=path,
         )
     if values.dtype.kind not in NUMBERS:
         raise CloudError(f"holds {values.dtype}, which are no coordinates", file=path)
@@ -81,16 +88,24 @@ def upright(values: npt.NDArray[Any], path: Path) -> npt.NDArray[Any]:
     rows, columns = values.shape
     if columns <= MOST_POINTS_IN_ROWS:
         raise CloudError(
-            f"has the shape {values.shape}: {rows} points of {columns} values, or {columns} points of {rows}?",
+            f"has the shape {values.shape}: {rows} points of {columns} values, or {columns} points"
+            f" of {rows}?",
             file=path,
             remedy=f"Save it as ({columns}, {rows}), or with names (a structured array, CSV)",
         )
-    log.warning("%s: an array of shape %s is read as %s points, a point a column", path, values.shape, f"{columns:,}")
+    log.warning(
+        "%s: an array of shape %s is read as %s points, a point a column",
+        path,
+        values.shape,
+        f"{columns:,}",
+    )
     return values.T
 
 
 def flat(records: Records, path: Path) -> Records:
-    """The records with a column a number: fields of several are split, those of text left out and named."""
+    """The records with a column a number: fields of several are split, those of text left out and
+    named.
+    """
     columns, left_out = Columns(), list[str]()
     for name, column in columns_of(records).items():
         if column.dtype.kind not in NUMBERS + "b":
@@ -107,7 +122,9 @@ def flat(records: Records, path: Path) -> Records:
 def parts_of(name: str, count: int) -> Sequence[str]:
     """Names of the parts of a column of several numbers."""
     known = {("xyz", 3): "x y z", ("normals", 3): "nx ny nz", ("normal", 3): "nx ny nz"}
-    colours = {(word, 3): "red green blue" for word in ("rgb", "colors", "colours", "color", "colour")}
+    colours = {
+        (word, 3): "red green blue" for word in ("rgb", "colors", "colours", "color", "colour")
+    }
     words = (known | colours).get((name.lower(), count))
     return words.split() if words else [f"{name}_{i}" for i in range(count)]
 
@@ -119,8 +136,13 @@ def tell_left_out(path: Path, names: Sequence[str]) -> None:
 
 
 def known_names(names: Sequence[str]) -> list[str]:
-    """Names of columns as they are called here: X → x, R G B → red green blue, Points:0 → x, ``X (m)`` → x."""
-    found = [re.sub(r"^Points:([012])$", lambda match: "xyz"[int(match[1])], name.strip().strip('"')) for name in names]
+    """Names of columns as they are called here: X → x, R G B → red green blue, Points:0 → x, ``X
+    (m)`` → x.
+    """
+    found = [
+        re.sub(r"^Points:([012])$", lambda match: "xyz"[int(match[1])], name.strip().strip('"'))
+        for name in names
+    ]
     found = [re.sub(r"^([xyzXYZ])\s*[(\[][^)\]]*[)\]]$", r"\1", name) for name in found]
     found = [name.lower() if name.lower() in COLUMNS else name for name in found]
     short = {"r": "red", "g": "green", "b": "blue"}
@@ -135,9 +157,15 @@ def require_xyz(records: Records, path: Path) -> Records:
     names = records.dtype.names or ()
     for axis in ("x", "y", "z"):
         if axis not in names:
-            raise CloudError(f"has no column {axis}; its columns are {', '.join(names) or 'none'}", file=path)
+            raise CloudError(
+                f"has no column {axis}; its columns are {', '.join(names) or 'none'}", file=path
+            )
         if records.dtype[axis].kind not in NUMBERS:
-            raise CloudError(f"column {axis} is {records.dtype[axis]}, not one number a point", file=path, key=axis)
+            raise CloudError(
+                f"column {axis} is {records.dtype[axis]}, not one number a point",
+                file=path,
+                key=axis,
+            )
     return records
 
 
@@ -153,7 +181,9 @@ def require_bytes(claimed: int, available: int, path: Path, what: str = "points"
 
 
 def fit_names(records: Records) -> Records:
-    """The records with names that a header of PLY or PCD can hold: ASCII without blanks, each one once."""
+    """The records with names that a header of PLY or PCD can hold: ASCII without blanks, each one
+    once.
+    """
     names = records.dtype.names or ()
     fitted = list[str]()
     for name in names:
@@ -166,6 +196,9 @@ def fit_names(records: Records) -> Records:
         fitted.append(unique)
     changed = [f"{old} → {new}" for old, new in zip(names, fitted, strict=True) if old != new]
     if changed:
-        log.warning("columns renamed, since PLY and PCD have ASCII names without blanks: %s", ", ".join(changed))
+        log.warning(
+            "columns renamed, since PLY and PCD have ASCII names without blanks: %s",
+            ", ".join(changed),
+        )
         return from_columns(dict(zip(fitted, columns_of(records).values(), strict=True)))
     return records

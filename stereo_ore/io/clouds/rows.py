@@ -18,7 +18,9 @@ REMARKS = (b"comment ", b"obj_info ")
 
 
 def parse_rows(file: IO[bytes], dtype: np.dtype[np.void], count: int, path: Path) -> Records:
-    """Exactly `count` points from the file's position; blank lines and breaks within a point mean nothing."""
+    """Exactly `count` points from the file's position; blank lines and breaks within a point mean
+    nothing.
+    """
     if count == 0 or not dtype.names:
         return np.empty(count if dtype.names else 0, dtype)
     start = file.tell()
@@ -33,7 +35,12 @@ def parse_rows(file: IO[bytes], dtype: np.dtype[np.void], count: int, path: Path
         problem = f"has {rows:,} rows of {len(dtype.names)} numbers; the header says {count:,}"
         raise CloudError(problem, file=path, remedy="The file is cut off; export it again")
     names = dtype.names
-    return from_columns({name: column(words[i :: len(names)], dtype[name], name, path) for i, name in enumerate(names)})
+    return from_columns(
+        {
+            name: column(words[i :: len(names)], dtype[name], name, path)
+            for i, name in enumerate(names)
+        }
+    )
 
 
 def _quick(file: IO[bytes], dtype: np.dtype[np.void], count: int) -> Records | None:

@@ -1,4 +1,6 @@
-"""Text clouds: XYZ, ASC, PTS and CSV, separated by commas, semicolons, tabs or blanks, with or without names."""
+"""Text clouds: XYZ, ASC, PTS and CSV, separated by commas, semicolons, tabs or blanks, with or
+without names.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,9 @@ COMMENT = re.compile(r"\s*(#|//)")
 
 @dataclass(frozen=True)
 class _Layout:
-    """What the first lines say: the separator, names (None: none), non-blank lines before the rows."""
+    """What the first lines say: the separator, names (None: none), non-blank lines before the
+    rows.
+    """
 
     separator: str | None
     names: list[str] | None
@@ -51,15 +55,17 @@ class _Layout:
 def read(path: Path) -> Records:
     """Rows of numbers; the first three columns are x, y, z unless a line of names says otherwise.
 
-    A first line with as many names as there are columns, x, y and z among them, is the line of names also behind a
-    ``#`` or ``//``; a lone number before the rows is their count.
+    A first line with as many names as there are columns, x, y and z among them, is the line of
+    names also behind a ``#`` or ``//``; a lone number before the rows is their count.
     """
     layout = _layout(path)
     values = _numbers(path, layout)
     if not len(values):
         values = np.empty((0, max(layout.width, 3)))
     if layout.names is None and values.shape[1] < 3:
-        raise CloudError(f"holds numbers of shape {values.shape}; shape (N, 3 or more) wanted", file=path)
+        raise CloudError(
+            f"holds numbers of shape {values.shape}; shape (N, 3 or more) wanted", file=path
+        )
     whole = layout.whole
     if layout.names is None and values.shape[1] > MOST_POINTS_IN_ROWS:
         values, whole = upright(values, path), ()
@@ -71,9 +77,15 @@ def read(path: Path) -> Records:
     columns = Columns()
     for i, name in enumerate(names):
         is_whole = i < len(whole) and whole[i] and name not in ("x", "y", "z")
-        columns[name] = _integers(path, layout, values[:, i], i) if is_whole else narrowest(values[:, i])
-    if all(axis in columns for axis in "xyz") and any(columns[axis].dtype == np.float64 for axis in "xyz"):
-        columns |= {axis: columns[axis].astype(np.float64) for axis in "xyz"}  # one type for the three
+        columns[name] = (
+            _integers(path, layout, values[:, i], i) if is_whole else narrowest(values[:, i])
+        )
+    if all(axis in columns for axis in "xyz") and any(
+        columns[axis].dtype == np.float64 for axis in "xyz"
+    ):
+        columns |= {
+            axis: columns[axis].astype(np.float64) for axis in "xyz"
+        }  # one type for the three
     return require_xyz(from_columns(as_bytes(columns)), path)
 
 
@@ -81,7 +93,9 @@ def _lines(path: Path) -> Iterator[str]:
     """Lines that are not blank."""
     with path.open("rb") as file:
         head = file.read(4)
-    encoding = "utf-16" if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
+    encoding = (
+        "utf-16" if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
+    )
     with path.open(encoding=encoding, errors="replace") as file:
         try:
             yield from (line for line in _bounded(file, path) if line.strip())
@@ -124,7 +138,11 @@ def _split(line: str) -> tuple[list[str], str | None, bool]:
     """Words of a line, the separator, and whether its decimal points are commas."""
     stripped = line.strip()
     blanks = stripped.split()
-    if len(blanks) > 1 and "," in stripped and all(DECIMAL_COMMA.fullmatch(w) or is_number(w) for w in blanks):
+    if (
+        len(blanks) > 1
+        and "," in stripped
+        and all(DECIMAL_COMMA.fullmatch(w) or is_number(w) for w in blanks)
+    ):
         return blanks, None, True
     separator = next((s for s in (";", "\t", ",") if s in stripped), None)
     if separator is None:
@@ -132,19 +150,28 @@ def _split(line: str) -> tuple[list[str], str | None, bool]:
     words = [word.strip().strip('"') for word in stripped.rstrip("\r\n").split(separator)]
     while len(words) > 1 and not words[-1]:
         words.pop()
-    return words, separator, separator != "," and any(DECIMAL_COMMA.fullmatch(word) for word in words)
+    return (
+        words,
+        separator,
+        separator != "," and any(DECIMAL_COMMA.fullmatch(word) for word in words),
+    )
 
 
 def _names(words: list[str], path: Path, line: str) -> list[str]:
     names = known_names(words)
     if not {"x", "y", "z"} <= set(names):
-        raise CloudError(f"the first line is neither numbers nor names with x, y, z: {line.strip()[:60]!r}", file=path)
+        raise CloudError(
+            f"the first line is neither numbers nor names with x, y, z: {line.strip()[:60]!r}",
+            file=path,
+        )
     return names
 
 
 def _commented(comments: list[str], count: int, separator: str | None) -> list[str] | None:
     """The names in a comment, when there is one for each column, x, y and z among them."""
-    for words in (words for comment in comments for words in (comment.split(separator), comment.split())):
+    for words in (
+        words for comment in comments for words in (comment.split(separator), comment.split())
+    ):
         names = known_names([word.strip() for word in words])
         if len(names) == count and {"x", "y", "z"} <= set(names):
             return names
@@ -158,7 +185,9 @@ def _rows(path: Path, layout: _Layout) -> Iterator[str]:
             yield line.rstrip().rstrip(layout.separator) if layout.separator else line
 
 
-def _numbers(path: Path, layout: _Layout, usecols: int | None = None, dtype: Any = np.float64) -> npt.NDArray[Any]:
+def _numbers(
+    path: Path, layout: _Layout, usecols: int | None = None, dtype: Any = np.float64
+) -> npt.NDArray[Any]:
     try:
         return _load(_rows(path, layout), layout.separator, usecols, dtype)
     except ValueError:
@@ -166,10 +195,14 @@ def _numbers(path: Path, layout: _Layout, usecols: int | None = None, dtype: Any
     try:
         return _load(rows, None, usecols, dtype)
     except ValueError as fault:
-        raise CloudError(f"has a row that is not numbers: {str(fault).split(';')[0]}", file=path) from None
+        raise CloudError(
+            f"has a row that is not numbers: {str(fault).split(';')[0]}", file=path
+        ) from None
 
 
-def _load(rows: Iterable[str], separator: str | None, usecols: int | None, dtype: Any) -> npt.NDArray[Any]:
+def _load(
+    rows: Iterable[str], separator: str | None, usecols: int | None, dtype: Any
+) -> npt.NDArray[Any]:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*input contained no data")
         return np.loadtxt(rows, dtype, delimiter=separator, comments=None, ndmin=2, usecols=usecols)
@@ -181,7 +214,9 @@ def _plain_row(line: str, layout: _Layout) -> str:
     return " ".join(plain(word.strip().strip('"')) or "?" for word in words)
 
 
-def _integers(path: Path, layout: _Layout, values: npt.NDArray[np.float64], index: int) -> npt.NDArray[Any]:
+def _integers(
+    path: Path, layout: _Layout, values: npt.NDArray[np.float64], index: int
+) -> npt.NDArray[Any]:
     """A column as whole numbers of 32 or 64 bits, digit by digit, where all its values are such."""
     if not (np.isfinite(values).all() and (values == np.trunc(values)).all()):
         return values
@@ -192,16 +227,28 @@ def _integers(path: Path, layout: _Layout, values: npt.NDArray[np.float64], inde
     try:
         return _load(_rows(path, layout), layout.separator, index, np.int64)[:, 0]
     except (ValueError, OverflowError):
-        log.warning("%s: column %d has whole numbers that 64 bits do not hold; they are rounded", path, index)
+        log.warning(
+            "%s: column %d has whole numbers that 64 bits do not hold; they are rounded",
+            path,
+            index,
+        )
         return values
 
 
 def write(path: Path, records: Records) -> None:
-    """A row a point: blanks and no names for .xyz, .txt, .asc and .pts, x, y, z first; names and commas for .csv."""
+    """A row a point: blanks and no names for .xyz, .txt, .asc and .pts, x, y, z first; names and
+    commas for .csv.
+    """
     columns = columns_of(records)
     csv = path.suffix.lower() == ".csv"
-    names = list(columns) if csv else [*(n for n in "xyz" if n in columns), *(n for n in columns if n not in "xyz")]
-    formats = {name: "%d" if column.dtype.kind in "iub" else "%.9g" for name, column in columns.items()}
+    names = (
+        list(columns)
+        if csv
+        else [*(n for n in "xyz" if n in columns), *(n for n in columns if n not in "xyz")]
+    )
+    formats = {
+        name: "%d" if column.dtype.kind in "iub" else "%.9g" for name, column in columns.items()
+    }
     formats |= {name: "%.17g" for name, column in columns.items() if column.dtype == np.float64}
     separator = "," if csv else " "
     if not csv and names != ["x", "y", "z"]:

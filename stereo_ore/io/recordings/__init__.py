@@ -62,25 +62,43 @@ def open_source(path: Path, options: BagOptions = BagOptions()) -> Source:  # no
     if not path.exists():
         raise SourceError("no such file or folder", file=path, remedy="Check the path")
     if path.is_dir():
-        return open_bag(path, options) if is_bag_folder(path) else open_folder(path, options.max_skew_ms)
+        return (
+            open_bag(path, options)
+            if is_bag_folder(path)
+            else open_folder(path, options.max_skew_ms)
+        )
     suffix = path.suffix.lower()
     if suffix not in FILE_OPENERS:
-        raise SourceError(f"files ending in {suffix!r} are not known", file=path, remedy=f"Known: {known_layouts()}")
+        raise SourceError(
+            f"files ending in {suffix!r} are not known",
+            file=path,
+            remedy=f"Known: {known_layouts()}",
+        )
     return FILE_OPENERS[suffix](path, options)
 
 
 def limit_pixels(source: Source, max_pixels: int) -> Source:
-    """The same recording, whose pictures of more than `max_pixels` are refused before they are decoded."""
+    """The same recording, whose pictures of more than `max_pixels` are refused before they are
+    decoded.
+    """
     return cast(Source, replace(cast(Any, source), max_pixels=max_pixels))
 
 
 def expect_eyes(source: Source, eye_size: tuple[int, int]) -> Source:
-    """The same recording; pictures that are to hold two eyes of `eye_size` (width, height) and hold one are refused."""
-    return cast(Source, replace(cast(Any, source), eye_size=eye_size)) if hasattr(source, "eye_size") else source
+    """The same recording; pictures that are to hold two eyes of `eye_size` (width, height) and hold
+    one are refused.
+    """
+    return (
+        cast(Source, replace(cast(Any, source), eye_size=eye_size))
+        if hasattr(source, "eye_size")
+        else source
+    )
 
 
 def frame_size(source: Source) -> tuple[int, int] | None:
-    """Width and height [px] of the first frame that can be read: some calibration files hold several resolutions."""
+    """Width and height [px] of the first frame that can be read: some calibration files hold
+    several resolutions.
+    """
     pair = _first_pair(source)
     return None if pair is None else (pair.left.shape[1], pair.left.shape[0])
 
@@ -96,18 +114,20 @@ def _first_pair(source: Source, most: int | None = None) -> StereoPair | None:
 def known_layouts() -> str:
     """One sentence that lists what a SOURCE can be."""
     return (
-        "a folder with left/ and right/; a folder with left*.png right*.png (also *_left/_right, *L/*R); a folder that "
-        "holds left.png right.png, or a folder of such folders; the layouts of KITTI, EuRoC, TUM-VI, Middlebury, ETH3D "
-        "and RealSense; a side-by-side image or a folder of them; "
-        "a side-by-side video, or a folder with a left and a right one; a ROS 1 or ROS 2 bag or MCAP file; "
-        "an SVO2 recording"
+        "a folder with left/ and right/; a folder with left*.png right*.png (also *_left/_right,"
+        " *L/*R); a folder that holds left.png right.png, or a folder of such folders; the layouts"
+        " of KITTI, EuRoC, TUM-VI, Middlebury, ETH3D and RealSense; a side-by-side image or a"
+        " folder of them; a side-by-side video, or a folder with a left and a right one; a ROS 1 or"
+        " ROS 2 bag or MCAP file; an SVO2 recording"
     )
 
 
 def describe(source: Source) -> str:
     """One line that says what is taken for what: "120 side-by-side frames of 2 × 1280×720, …"."""
     about, count = source.description, len(source.names)
-    kind = KINDS.get(about["kind"], "frame# of " + " and ".join(about.get("topics", [about["kind"]])))
+    kind = KINDS.get(
+        about["kind"], "frame# of " + " and ".join(about.get("topics", [about["kind"]]))
+    )
     words = f"{count} {kind.replace('#', 's' * (count != 1))}"
     if (pair := _first_pair(source, MOST_TRIED)) is not None:
         height, width = pair.left.shape[:2]

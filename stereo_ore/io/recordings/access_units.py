@@ -1,4 +1,6 @@
-"""Pictures of a video that is stored a message a picture: access units of H.264 or H.265 in Annex B form."""
+"""Pictures of a video that is stored a message a picture: access units of H.264 or H.265 in Annex B
+form.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,8 @@ if TYPE_CHECKING:
     import av
 
 LONGEST_DELAY = 16
-"""A decoder gives a picture at most so many units after its own (the standards' largest reorder buffer)."""
+"""A decoder gives a picture at most so many units after its own (the standards' largest reorder
+buffer)."""
 START_CODE = b"\x00\x00\x01"
 H264_KEY, H264_PARAMETERS = 5, 7
 H265_KEY, H265_PARAMETERS = range(16, 22), 32
@@ -41,7 +44,9 @@ def is_key(unit: bytes) -> bool:
 
 
 def _parts(unit: bytes) -> list[int]:
-    """First byte of each part (NAL unit) of an access unit; only the first parts tell what it is."""
+    """First byte of each part (NAL unit) of an access unit; only the first parts tell what it
+    is.
+    """
     found: list[int] = []
     place = unit.find(START_CODE)
     while 0 <= place < len(unit) - 3 and len(found) < LONGEST_DELAY:
@@ -51,7 +56,9 @@ def _parts(unit: bytes) -> list[int]:
 
 
 class UnitDecoder:
-    """Decodes units by number; from the last key unit before, where it does not go on from the one before."""
+    """Decodes units by number; from the last key unit before, where it does not go on from the one
+    before.
+    """
 
     def __init__(self, path: Path, keys: Sequence[bool], unit: Callable[[int], bytes]) -> None:
         self._path, self._keys, self._unit = path, keys, unit
@@ -110,7 +117,9 @@ class UnitDecoder:
             if frame.pts is not None and frame.pts >= index:
                 check_pixels(frame.width, frame.height, self._path, max_pixels)
                 self._ready[frame.pts] = np.ascontiguousarray(frame.to_ndarray(format="bgr24"))
-        self._ready = {number: picture for number, picture in self._ready.items() if number >= index}
+        self._ready = {
+            number: picture for number, picture in self._ready.items() if number >= index
+        }
 
     def _fault(self, index: int, why: str) -> FrameError:
         return FrameError(

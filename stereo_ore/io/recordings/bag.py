@@ -1,4 +1,6 @@
-"""Bags as recordings: ROS 1 and ROS 2 bags, MCAP files of ROS and of Foxglove, recordings of RealSense."""
+"""Bags as recordings: ROS 1 and ROS 2 bags, MCAP files of ROS and of Foxglove, recordings of
+RealSense.
+"""
 
 from __future__ import annotations
 
@@ -31,12 +33,15 @@ log = logging.getLogger(__name__)
 
 SKEW_EDGES_MS = (0.0, 0.1, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 DEVICE_TIME = re.compile(r"(?:^|;)timestamp=(\d+(?:\.\d+)?)(?:;|$)")
-"""Time at which RealSense's camera took an image [ms], in the text that its recorder writes beside it."""
+"""Time at which RealSense's camera took an image [ms], in the text that its recorder writes beside
+it."""
 
 
 @dataclass(frozen=True)
 class BagOptions:
-    """What the user may say of a recording: topics of the left and right images, and how far apart stamps may be."""
+    """What the user may say of a recording: topics of the left and right images, and how far apart
+    stamps may be.
+    """
 
     topics: tuple[str, str] | None = None
     max_skew_ms: float = 5.0
@@ -45,8 +50,8 @@ class BagOptions:
 class Entry(NamedTuple):
     """One image in a bag.
 
-    When it was recorded (its place in the bag), when it was taken, whether that is the message's own stamp, and
-    whether it is part of a video, and one that decoding can begin at.
+    When it was recorded (its place in the bag), when it was taken, whether that is the message's
+    own stamp, and whether it is part of a video, and one that decoding can begin at.
     """
 
     logged_ns: int
@@ -80,23 +85,32 @@ class Reader:
         return {topic for topic, kind in self.bag.types.items() if kind in ros_messages.IMAGE_TYPES}
 
     def entries(self, topics: tuple[str, str]) -> tuple[list[Entry], list[Entry]]:
-        """All images of two topics, by stamp; where a driver leaves the stamp empty, the time of recording counts."""
+        """All images of two topics, by stamp; where a driver leaves the stamp empty, the time of
+        recording counts.
+        """
         found: dict[str, list[Entry]] = {topic: [] for topic in topics}
         with known_faults(self.path):
             device_ns = {topic: self._device_times(topic) for topic in topics}
             for topic, logged_ns, message in self.bag.messages(topics):
                 found[topic].append(_entry(logged_ns, message, device_ns[topic]))
-        left, right = (sorted(found[topic], key=lambda entry: (entry.stamp_ns, entry.logged_ns)) for topic in topics)
+        left, right = (
+            sorted(found[topic], key=lambda entry: (entry.stamp_ns, entry.logged_ns))
+            for topic in topics
+        )
         return left, right
 
     def image(self, topic: str, entries: Sequence[Entry], entry: Entry, max_pixels: int) -> Image:
-        """The picture of an entry: (H, W, 3) BGR, uint8 or uint16; `entries` are all of its topic by stamp."""
+        """The picture of an entry: (H, W, 3) BGR, uint8 or uint16; `entries` are all of its topic
+        by stamp.
+        """
         if not entry.video:
             return ros_messages.image(self._message(topic, entry), self.path, max_pixels)
         if topic not in self._videos:
             units = sorted(entries, key=lambda each: each.logged_ns)
             decoder = UnitDecoder(
-                self.path, [unit.key for unit in units], lambda i: bytes(self._message(topic, units[i]).data)
+                self.path,
+                [unit.key for unit in units],
+                lambda i: bytes(self._message(topic, units[i]).data),
             )
             self._videos[topic] = decoder, {unit: number for number, unit in enumerate(units)}
         decoder, numbers = self._videos[topic]
@@ -104,18 +118,27 @@ class Reader:
 
     def _message(self, topic: str, entry: Entry) -> Any:
         """The message of an entry."""
-        for _, logged_ns, message in self.bag.messages([topic], entry.logged_ns, entry.logged_ns + 1):
+        for _, logged_ns, message in self.bag.messages(
+            [topic], entry.logged_ns, entry.logged_ns + 1
+        ):
             if not entry.stamped or (ros_messages.stamp_ns(message) or logged_ns) == entry.stamp_ns:
                 return message
-        raise FrameError(f"has lost its message at {entry.logged_ns} ns", code="UNREADABLE_IMAGE", file=self.path)
+        raise FrameError(
+            f"has lost its message at {entry.logged_ns} ns", code="UNREADABLE_IMAGE", file=self.path
+        )
 
     def _device_times(self, topic: str) -> dict[int, int]:
-        """Times of the camera [ns] by time of recording, where a RealSense recorder has written them as text."""
+        """Times of the camera [ns] by time of recording, where a RealSense recorder has written
+        them as text.
+        """
         place, found, _ = topic.partition("/image/data")
         name = f"{place}/image/metadata"
         if not found or self.bag.types.get(name) != "std_msgs/msg/String":
             return {}
-        times = ((logged_ns, DEVICE_TIME.search(message.data)) for _, logged_ns, message in self.bag.messages([name]))
+        times = (
+            (logged_ns, DEVICE_TIME.search(message.data))
+            for _, logged_ns, message in self.bag.messages([name])
+        )
         return {logged_ns: round(1e6 * float(match[1])) for logged_ns, match in times if match}
 
 
@@ -143,7 +166,11 @@ class BagPairs:
     @property
     def description(self) -> Mapping[str, Any]:
         """Kind, topics, and how far apart the stamps of the pairs are."""
-        skews = [abs(left.stamp_ns - right.stamp_ns) / 1e6 for left, right in self.entries if left and right]
+        skews = [
+            abs(left.stamp_ns - right.stamp_ns) / 1e6
+            for left, right in self.entries
+            if left and right
+        ]
         counts, _ = np.histogram(skews, [*SKEW_EDGES_MS, np.inf])
         return {
             "kind": "bag",
@@ -151,19 +178,26 @@ class BagPairs:
             "unpaired": len(self.names) - len(skews),
             "topics": list(self.topics),
             "max_skew_ms": self.options.max_skew_ms,
-            "skew_ms": {"from": list(SKEW_EDGES_MS), "pairs": counts.tolist(), "largest": max(skews, default=None)},
+            "skew_ms": {
+                "from": list(SKEW_EDGES_MS),
+                "pairs": counts.tolist(),
+                "largest": max(skews, default=None),
+            },
         }
 
     @cached_property
     def calibration(self) -> StereoCalibration | None:
-        """The calibration in the camera_info of both eyes; looked at only when no other one is given.
+        """The calibration in the camera_info of both eyes; looked at only when no other one is
+        given.
 
         Raises
         ------
         CalibrationError
             When it describes an impossible camera or changes on the way.
         """
-        left, right = ([Taken(entry.logged_ns, entry.stamp_ns) for entry in eye] for eye in self.by_eye)
+        left, right = (
+            [Taken(entry.logged_ns, entry.stamp_ns) for entry in eye] for eye in self.by_eye
+        )
         with known_faults(self.path):
             return calibration_of(self.reader.bag, self.topics, (left, right), self.path)
 
@@ -186,9 +220,14 @@ class BagPairs:
         return tuple(sorted(file for file in self.path.iterdir() if file.is_file()))
 
     def stamp(self, index: int) -> Stamp | None:
-        """When the left image's message says that it was taken; without a left image, the right one's."""
+        """When the left image's message says that it was taken; without a left image, the right
+        one's.
+        """
         entry = next(entry for entry in self.entries[index] if entry)
-        return Stamp(entry.stamp_ns, "header" if entry.stamped or entry.stamp_ns != entry.logged_ns else "container")
+        return Stamp(
+            entry.stamp_ns,
+            "header" if entry.stamped or entry.stamp_ns != entry.logged_ns else "container",
+        )
 
     def eyes(self, index: int) -> tuple[Image, Image]:
         """Both images of frame `index` as stored."""
@@ -196,7 +235,8 @@ class BagPairs:
         if left is None or right is None:
             missing = "left" if left is None else "right"
             raise FrameError(
-                f"frame {self.names[index]} has no {missing} image within {self.options.max_skew_ms:g} ms",
+                f"frame {self.names[index]} has no {missing} image within"
+                f" {self.options.max_skew_ms:g} ms",
                 code="UNPAIRED",
                 file=self.path,
                 remedy="Frames are paired by stamp; --max-skew-ms is the limit",
@@ -204,12 +244,18 @@ class BagPairs:
         try:
             images = [
                 self.reader.image(topic, entries, entry, self.max_pixels)
-                for topic, entries, entry in zip(self.topics, self.by_eye, (left, right), strict=True)
+                for topic, entries, entry in zip(
+                    self.topics, self.by_eye, (left, right), strict=True
+                )
             ]
         except StereoOreError:
             raise
-        except Exception as fault:  # rosbags raises what it likes; messages have the fields that the bag defines
-            raise FrameError(f"can't be read here: {fault}", code="UNREADABLE_IMAGE", file=self.path) from None
+        except (
+            Exception
+        ) as fault:  # rosbags raises what it likes; messages have the fields that the bag defines
+            raise FrameError(
+                f"can't be read here: {fault}", code="UNREADABLE_IMAGE", file=self.path
+            ) from None
         check_alike(images[0], images[1], f"{self.path}: {self.topics[0]}", self.topics[1])
         return images[0], images[1]
 
@@ -235,35 +281,53 @@ def open_bag(path: Path, options: BagOptions) -> BagPairs:
     reader = Reader(path)
     found = reader.image_topics()
     if not found and (unread := getattr(reader.bag, "unread", "")):
-        raise SourceError(f"holds no image that can be read here: {unread}", file=path, remedy="Record it with ROS")
+        raise SourceError(
+            f"holds no image that can be read here: {unread}",
+            file=path,
+            remedy="Record it with ROS",
+        )
     topics = choose_topics(found, options.topics, path)
     left, right = reader.entries(topics)
-    faults = [f"{topic} ({reader.bag.types[topic]}): {fault}" for topic, fault in reader.bag.faults.items()]
+    faults = [
+        f"{topic} ({reader.bag.types[topic]}): {fault}"
+        for topic, fault in reader.bag.faults.items()
+    ]
     if not left and not right:
         what = "no image that can be read" if faults else "no image"
-        raise SourceError(f"holds {what}: {'; '.join(faults or topics)}", file=path, remedy="Record it again")
+        raise SourceError(
+            f"holds {what}: {'; '.join(faults or topics)}", file=path, remedy="Record it again"
+        )
     for fault in faults:
         log.warning("%s: messages are passed over: %s", path, fault)
     pairs = pair_by_stamp(
-        [entry.stamp_ns for entry in left], [entry.stamp_ns for entry in right], round(options.max_skew_ms * 1e6)
+        [entry.stamp_ns for entry in left],
+        [entry.stamp_ns for entry in right],
+        round(options.max_skew_ms * 1e6),
     )
     entries = tuple(_entries(pair, left, right) for pair in pairs)
-    names = frame_names(stamp_name((first or second).stamp_ns) for first, second in entries if first or second)  # type: ignore[union-attr]
+    known = (first or second for first, second in entries)
+    names = frame_names(stamp_name(entry.stamp_ns) for entry in known if entry)
     return BagPairs(path, names, topics, entries, options, reader)
 
 
 def is_bag_folder(path: Path) -> bool:
     """Whether a folder is a ROS 2 bag."""
-    return (path / "metadata.yaml").is_file() and any(file.suffix in BAG_SUFFIXES for file in path.iterdir())
+    return (path / "metadata.yaml").is_file() and any(
+        file.suffix in BAG_SUFFIXES for file in path.iterdir()
+    )
 
 
 def _folder_of(path: Path) -> Path:
     """The bag that a compressed file belongs to, whose metadata say how it is compressed."""
     if is_bag_folder(path.parent):
         return path.parent
-    raise SourceError("is a compressed part of a bag", file=path, remedy=f"Unpack it: zstd -d {path.name}")
+    raise SourceError(
+        "is a compressed part of a bag", file=path, remedy=f"Unpack it: zstd -d {path.name}"
+    )
 
 
-def _entries(pair: Pair, left: Sequence[Entry], right: Sequence[Entry]) -> tuple[Entry | None, Entry | None]:
+def _entries(
+    pair: Pair, left: Sequence[Entry], right: Sequence[Entry]
+) -> tuple[Entry | None, Entry | None]:
     i, j = pair
     return None if i is None else left[i], None if j is None else right[j]

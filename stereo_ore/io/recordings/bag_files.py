@@ -1,6 +1,8 @@
-"""Messages of bags: ROS 1, ROS 2 (sqlite3, MCAP, compressed or not) by rosbags, other MCAP files by mcap.
+"""Messages of bags: ROS 1, ROS 2 (sqlite3, MCAP, compressed or not) by rosbags, other MCAP files by
+mcap.
 
-Both readers offer the same: topics with the types of their messages, and the messages from one time to another.
+Both readers offer the same: topics with the types of their messages, and the messages from one time
+to another.
 """
 
 from __future__ import annotations
@@ -29,7 +31,9 @@ ROS1_IMAGE = "sensor_msgs/msg/Image"
 
 
 class Messages(Protocol):
-    """An open bag; `faults` tells of each topic why messages of it could not be read, and were passed over."""
+    """An open bag; `faults` tells of each topic why messages of it could not be read, and were
+    passed over.
+    """
 
     faults: dict[str, str]
 
@@ -41,7 +45,9 @@ class Messages(Protocol):
     def messages(
         self, topics: Collection[str], start: int | None = None, stop: int | None = None
     ) -> Iterator[tuple[str, int, Any]]:
-        """Topic, time of recording [ns] and message, of some topics, from `start` to before `stop`."""
+        """Topic, time of recording [ns] and message, of some topics, from `start` to before
+        `stop`.
+        """
         ...
 
     def close(self) -> None:
@@ -65,7 +71,9 @@ class RosBag:
         self, topics: Collection[str], start: int | None = None, stop: int | None = None
     ) -> Iterator[tuple[str, int, Any]]:
         """See `Messages.messages`."""
-        connections = [connection for connection in self._bag.connections if connection.topic in topics]
+        connections = [
+            connection for connection in self._bag.connections if connection.topic in topics
+        ]
         for connection, logged_ns, data in self._bag.messages(connections, start, stop):
             try:
                 message = self._read(data, connection.msgtype)
@@ -79,14 +87,18 @@ class RosBag:
         self._bag.close()
 
     def _read(self, data: bytes, kind: str) -> Any:
-        """A message; librealsense writes ROS 1 images with four bytes too many, which are left out."""
+        """A message; librealsense writes ROS 1 images with four bytes too many, which are left
+        out.
+        """
         if kind == ROS1_IMAGE and not self._bag.is2:
             data = data[: _image_length(data)]
         return self._bag.deserialize(data, kind)
 
 
 def _image_length(data: bytes) -> int:
-    """Bytes of a ROS 1 image: seq, stamp, frame_id, height, width, encoding, is_bigendian, step, data."""
+    """Bytes of a ROS 1 image: seq, stamp, frame_id, height, width, encoding, is_bigendian, step,
+    data.
+    """
     place = 12
     try:
         for skip in (8, 5, 0):
@@ -121,12 +133,18 @@ def known_faults(path: Path) -> Iterator[None]:
         raise
     except Exception as fault:
         raise SourceError(
-            f"can't be read as a bag: {fault or type(fault).__name__}", file=path, remedy=_remedy(path)
+            f"can't be read as a bag: {fault or type(fault).__name__}",
+            file=path,
+            remedy=_remedy(path),
         ) from None
 
 
 def _remedy(path: Path) -> str:
-    repairs = {".bag": "rosbag reindex FILE", ".mcap": "mcap recover FILE", ".db3": "ros2 bag reindex FOLDER"}
+    repairs = {
+        ".bag": "rosbag reindex FILE",
+        ".mcap": "mcap recover FILE",
+        ".db3": "ros2 bag reindex FOLDER",
+    }
     repair = repairs.get(path.suffix.lower(), "ros2 bag reindex FOLDER")
     return f"If it was cut off while recording, repair it: {repair}; otherwise copy it again"
 
@@ -143,7 +161,8 @@ def _open_ros(path: Path) -> AnyReader:
 
 
 def _checkpointed(path: Path) -> Path | None:
-    """A folder with a copy of a ROS 2 bag whose write-ahead log is written into its database; None where it has none.
+    """A folder with a copy of a ROS 2 bag whose write-ahead log is written into its database; None
+    where it has none.
 
     rosbags does not see such a log, and to write it into the database would change the recording.
     """
@@ -152,7 +171,9 @@ def _checkpointed(path: Path) -> Path | None:
     if path.suffix == ".bag" or not logs:
         return None
     folder = Path(tempfile.mkdtemp(prefix="stereo-ore-bag-"))
-    log.info("%s has a write-ahead log (%s-wal): read with it from a copy", path, ", ".join(sorted(logs)))
+    log.info(
+        "%s has a write-ahead log (%s-wal): read with it from a copy", path, ", ".join(sorted(logs))
+    )
     for file in files:
         if file.name in logs:
             shutil.copyfile(file, folder / file.name)

@@ -15,8 +15,8 @@ from stereo_ore.types import StereoCalibration, StereoPair
 class Source(Protocol):
     """A recording of known length whose frames can be read in any order, any number of times.
 
-    Sources hold paths, not open files, so that they can be sent to worker processes; a reader of a large file that
-    keeps it open between frames opens it anew over there.
+    Sources hold paths, not open files, so that they can be sent to worker processes; a reader of a
+    large file that keeps it open between frames opens it anew over there.
     """
 
     @property
@@ -26,7 +26,9 @@ class Source(Protocol):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Unique names of the frames, in order; safe as file names. A name of 19 digits is the frame's stamp [ns]."""
+        """Unique names of the frames, in order; safe as file names. A name of 19 digits is the
+        frame's stamp [ns].
+        """
         ...
 
     @property
@@ -53,7 +55,8 @@ class Source(Protocol):
         Raises
         ------
         FrameError
-            When the frame is incomplete or unreadable; the frames around it are not touched by that.
+            When the frame is incomplete or unreadable; the frames around it are not touched by
+            that.
         """
         ...
 
@@ -66,9 +69,11 @@ def make_pair(source: Source, index: int, left: Any, right: Any) -> StereoPair:
 
 
 def sampled_depth(count: int, read: Callable[[int], tuple[Image, Image]]) -> int:
-    """Bits of the pixels of a recording of 16-bit images: the most that any of five frames spread over it uses.
+    """Bits of the pixels of a recording of 16-bit images: the most that any of five frames spread
+    over it uses.
 
-    One depth for the whole recording keeps brightnesses of its frames comparable, whatever order they are read in.
+    One depth for the whole recording keeps brightnesses of its frames comparable, whatever order
+    they are read in.
     """
     depths = [8]
     for index in sorted({(count - 1) * part // 4 for part in range(5)}):

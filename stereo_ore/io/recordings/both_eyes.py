@@ -22,7 +22,8 @@ from stereo_ore.io.recordings.images import (
 def read_side_by_side(path: Path, max_pixels: int = MAX_PIXELS) -> tuple[Image, Image]:
     """Both eyes of a file that holds them beside each other or as two pictures, left eye first.
 
-    Which half is the left eye is what a JPEG stereo file says; of one that says nothing, the right half.
+    Which half is the left eye is what a JPEG stereo file says; of one that says nothing, the right
+    half.
 
     Raises
     ------
@@ -46,26 +47,38 @@ def packing_of(data: bytes, path: Path) -> str | None:
 
 
 def is_stereo_file(path: Path) -> bool:
-    """Whether an image file says of itself that it holds both eyes; errors as those of `read_image`."""
+    """Whether an image file says of itself that it holds both eyes; errors as those of
+    `read_image`.
+    """
     data = read_bytes(path)
     return packing_of(data, path) is not None or bool(jpeg.pictures(data))
 
 
 def file_notes(path: Path) -> tuple[str, ...]:
-    """What an image file says that is worth a word: which eye comes first, a turn that is not made."""
+    """What an image file says that is worth a word: which eye comes first, a turn that is not
+    made.
+    """
     try:
         data = read_bytes(path)
     except FrameError:
         return ()
-    turn, exchanged = turn_of(data), packing_of(data, path) == "right-left" and not jpeg.pictures(data)
+    turn, exchanged = (
+        turn_of(data),
+        packing_of(data, path) == "right-left" and not jpeg.pictures(data),
+    )
     return (
         *([f"{path.name} says that the right eye comes first"] if exchanged else ()),
-        *([f"{path.name} asks viewers to turn it {turn_words(turn)}, pixels are taken as stored"] if turn != 1 else ()),
+        *(
+            [f"{path.name} asks viewers to turn it {turn_words(turn)}, pixels are taken as stored"]
+            if turn != 1
+            else ()
+        ),
     )
 
 
 def check_eye_size(left: Image, eye_size: tuple[int, int] | None, path: Path) -> None:
-    """FrameError when a picture that was halved is that of one eye, or holds the eyes over and under.
+    """FrameError when a picture that was halved is that of one eye, or holds the eyes over and
+    under.
 
     Parameters
     ----------
@@ -79,13 +92,21 @@ def check_eye_size(left: Image, eye_size: tuple[int, int] | None, path: Path) ->
     height, width = left.shape[:2]
     arrangements = {
         (width, height): "",
-        (2 * width, height): "one eye of the calibration: these are images of one eye, not side-by-side ones",
-        (2 * width, height // 2): "two eyes of the calibration over and under, not beside each other",
+        (
+            2 * width,
+            height,
+        ): "one eye of the calibration: these are images of one eye, not side-by-side ones",
+        (
+            2 * width,
+            height // 2,
+        ): "two eyes of the calibration over and under, not beside each other",
     }
     if eye_size and (found := arrangements.get(eye_size)):
         raise FrameError(
             f"is {2 * width}×{height} px, as {found}",
             code="SIZE_MISMATCH",
             file=path,
-            remedy="Give the folder or files of both eyes (--left, --right), or side-by-side images",
+            remedy=(
+                "Give the folder or files of both eyes (--left, --right), or side-by-side images"
+            ),
         )

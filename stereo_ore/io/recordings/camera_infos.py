@@ -31,9 +31,13 @@ class Taken(NamedTuple):
 
 
 def calibration_of(
-    bag: Messages, topics: tuple[str, str], images: tuple[Sequence[Taken], Sequence[Taken]], path: Path
+    bag: Messages,
+    topics: tuple[str, str],
+    images: tuple[Sequence[Taken], Sequence[Taken]],
+    path: Path,
 ) -> StereoCalibration | None:
-    """The calibration in the camera_info that goes with the images of both eyes; None when an eye has none.
+    """The calibration in the camera_info that goes with the images of both eyes; None when an eye
+    has none.
 
     Raises
     ------
@@ -41,10 +45,15 @@ def calibration_of(
         When it changes between the images, or describes an impossible camera.
     """
     kinds = {topic for topic, kind in bag.types.items() if kind in ros_messages.CAMERA_INFO}
-    places = [next((place for place in camera_info_topics(topic) if place in kinds), None) for topic in topics]
+    places = [
+        next((place for place in camera_info_topics(topic) if place in kinds), None)
+        for topic in topics
+    ]
     if places[0] == places[1]:
         return None
-    infos = [_used(bag, place, taken, path) for place, taken in zip(places, images, strict=True) if place]
+    infos = [
+        _used(bag, place, taken, path) for place, taken in zip(places, images, strict=True) if place
+    ]
     if len(infos) < 2 or any(info is None for info in infos):
         return None
     left, right = infos
@@ -56,13 +65,21 @@ def calibration_of(
     try:
         return ros_messages.calibration(left, right, rectified, path)
     except CalibrationError as fault:
-        remedy = f"{fault.remedy or 'Its camera_info is of no use'}; or give a calibration with --calib"
-        raise CalibrationError(fault.problem, file=fault.file, key=fault.key, remedy=remedy) from None
+        remedy = (
+            f"{fault.remedy or 'Its camera_info is of no use'}; or give a calibration with --calib"
+        )
+        raise CalibrationError(
+            fault.problem, file=fault.file, key=fault.key, remedy=remedy
+        ) from None
 
 
 def _used(bag: Messages, topic: str, images: Sequence[Taken], path: Path) -> Any:
-    """The one camera_info that goes with all images: of the same stamp, else the latest before, else the first."""
-    found = [(logged, ros_messages.stamp_ns(info), info) for _, logged, info in bag.messages([topic])]
+    """The one camera_info that goes with all images: of the same stamp, else the latest before,
+    else the first.
+    """
+    found = [
+        (logged, ros_messages.stamp_ns(info), info) for _, logged, info in bag.messages([topic])
+    ]
     found = [entry for entry in found if np.any(ros_messages.matrix(entry[2], "K"))]
     if not found:
         return None
@@ -70,7 +87,8 @@ def _used(bag: Messages, topic: str, images: Sequence[Taken], path: Path) -> Any
     logged = [entry[0] for entry in found]
     stamped = {stamp: number for number, (_, stamp, _) in enumerate(found) if stamp}
     numbers = Counter(
-        stamped.get(image.stamp_ns, max(bisect.bisect_right(logged, image.logged_ns) - 1, 0)) for image in images
+        stamped.get(image.stamp_ns, max(bisect.bisect_right(logged, image.logged_ns) - 1, 0))
+        for image in images
     )
     contents = Counter[tuple[bytes, ...]]()
     for number, count in numbers.items():
@@ -100,10 +118,14 @@ def _shifts(left: Any, right: Any) -> float:
 
 
 def _ideal(*infos: Any) -> bool:
-    """Whether these are cameras without distortion and rotation, whose images are rectified as they are."""
+    """Whether these are cameras without distortion and rotation, whose images are rectified as they
+    are.
+    """
     rotations = [ros_messages.matrix(info, "R") for info in infos]
     undistorted = not any(ros_messages.matrix(info, "D").any() for info in infos)
-    return undistorted and all(not R.any() or np.array_equal(R, np.eye(3).ravel()) for R in rotations)
+    return undistorted and all(
+        not R.any() or np.array_equal(R, np.eye(3).ravel()) for R in rotations
+    )
 
 
 def _with_projection(info: Any, shift_px: float) -> Any:
@@ -112,24 +134,34 @@ def _with_projection(info: Any, shift_px: float) -> Any:
     P = np.column_stack([K, [shift_px, 0.0, 0.0]]).ravel()
     for letter, value in (("R", np.eye(3).ravel()), ("P", P)):
         object.__setattr__(changed, letter if hasattr(info, letter) else letter.lower(), value)
-    object.__setattr__(changed, "distortion_model", "plumb_bob" if _ideal(info) else info.distortion_model)
+    object.__setattr__(
+        changed, "distortion_model", "plumb_bob" if _ideal(info) else info.distortion_model
+    )
     return changed
 
 
 def _with_pose(left: Any, right: Any, rotation: F64, translation_m: F64) -> Any:
-    """The right camera with a baseline from elsewhere; only a rig with parallel eyes has one in its projection."""
-    if not np.allclose(rotation, np.eye(3), atol=1e-6) or not np.allclose(translation_m[1:], 0, atol=1e-6):
+    """The right camera with a baseline from elsewhere; only a rig with parallel eyes has one in its
+    projection.
+    """
+    if not np.allclose(rotation, np.eye(3), atol=1e-6) or not np.allclose(
+        translation_m[1:], 0, atol=1e-6
+    ):
         return right
     return _with_projection(right, float(translation_m[0] * ros_messages.matrix(right, "K")[0]))
 
 
 def _pose(bag: Messages, topics: tuple[str, str], left: Any, right: Any) -> tuple[F64, F64] | None:
-    """Rotation and translation [m] from the left to the right camera, X_right = R X_left + t, from transforms."""
+    """Rotation and translation [m] from the left to the right camera, X_right = R X_left + t, from
+    transforms.
+    """
     return _recorded_pose(bag, topics[1]) or _tree_pose(bag, left, right)
 
 
 def _recorded_pose(bag: Messages, topic: str) -> tuple[F64, F64] | None:
-    """What RealSense's recorders write beside the images: a Transform, or a text with ``translation=x,y,z``."""
+    """What RealSense's recorders write beside the images: a Transform, or a text with
+    ``translation=x,y,z``.
+    """
     prefix = topic.partition(REALSENSE_PLACE)[0] + "/tf/"
     for name in bag.types:
         if name.startswith(prefix):
@@ -146,7 +178,9 @@ def _text_pose(text: str) -> tuple[F64, F64] | None:
     """Read ``rotation=9 numbers;translation=3 numbers``; the rotation's columns come first."""
     fields = dict(part.split("=", 1) for part in text.split(";") if "=" in part)
     try:
-        rotation, translation = (np.array(fields[key].split(","), np.float64) for key in ("rotation", "translation"))
+        rotation, translation = (
+            np.array(fields[key].split(","), np.float64) for key in ("rotation", "translation")
+        )
         return rotation.reshape(3, 3).T, translation.reshape(3)
     except (KeyError, ValueError):
         return None
@@ -165,7 +199,9 @@ def _tree_pose(bag: Messages, left: Any, right: Any) -> tuple[F64, F64] | None:
                 _matrix(each.transform.rotation),
                 np.array([t.x, t.y, t.z]),
             )
-    (root, R_left, t_left), (other, R_right, t_right) = (_from_root(parents, info) for info in (left, right))
+    (root, R_left, t_left), (other, R_right, t_right) = (
+        _from_root(parents, info) for info in (left, right)
+    )
     if root != other or left.header.frame_id == right.header.frame_id:
         return None
     return R_right.T @ R_left, R_right.T @ (t_left - t_right)

@@ -1,7 +1,8 @@
-"""What a video file says of itself: how its pictures hold both eyes, how many tracks it has, when it began.
+"""What a video file says of itself: how its pictures hold both eyes, how many tracks it has, when
+it began.
 
-OpenCV hands on none of it. Matroska and WebM (RFC 9559) and MP4 and MOV (ISO/IEC 14496-12) are read; of other
-containers nothing is known.
+OpenCV hands on none of it. Matroska and WebM (RFC 9559) and MP4 and MOV (ISO/IEC 14496-12) are
+read; of other containers nothing is known.
 """
 
 from __future__ import annotations
@@ -75,21 +76,35 @@ _TRACK, _TYPE, _VIDEO, _MODE = 0xAE, 0x83, 0xE0, 0x53B8
 
 def _matroska(file: BinaryIO) -> Container:
     packing, tracks, began_ns = None, 0, None
-    for kind, start, end in _elements(file, 0, os.fstat(file.fileno()).st_size, (_SEGMENT, _INFO, _TRACKS)):
+    for kind, start, end in _elements(
+        file, 0, os.fstat(file.fileno()).st_size, (_SEGMENT, _INFO, _TRACKS)
+    ):
         if kind == _DATE:
-            began_ns = MATROSKA_EPOCH_NS + int.from_bytes(_part(file, start, end), "big", signed=True)
+            began_ns = MATROSKA_EPOCH_NS + int.from_bytes(
+                _part(file, start, end), "big", signed=True
+            )
         elif kind == _TRACK:
-            inner = {k: _part(file, s, e) for k, s, e in _elements(file, start, end, (_VIDEO,)) if k in (_TYPE, _MODE)}
+            inner = {
+                k: _part(file, s, e)
+                for k, s, e in _elements(file, start, end, (_VIDEO,))
+                if k in (_TYPE, _MODE)
+            }
             if int.from_bytes(inner.get(_TYPE, b""), "big") == 1:
                 tracks += 1
-                packing = packing or MATROSKA_MODES.get(int.from_bytes(inner.get(_MODE, b""), "big"))
+                packing = packing or MATROSKA_MODES.get(
+                    int.from_bytes(inner.get(_MODE, b""), "big")
+                )
         elif kind == _CLUSTER:
             break
     return Container(packing, tracks or 1, began_ns)
 
 
-def _elements(file: BinaryIO, start: int, end: int, inside: tuple[int, ...]) -> Iterator[tuple[int, int, int]]:
-    """Id, start and end of the elements from `start` to `end`, those in `inside` replaced by what is in them."""
+def _elements(
+    file: BinaryIO, start: int, end: int, inside: tuple[int, ...]
+) -> Iterator[tuple[int, int, int]]:
+    """Id, start and end of the elements from `start` to `end`, those in `inside` replaced by what
+    is in them.
+    """
     for _ in range(MOST_PARTS):
         if start >= end:
             return
@@ -101,7 +116,10 @@ def _elements(file: BinaryIO, start: int, end: int, inside: tuple[int, ...]) -> 
         if not id_length or not size_length:
             return
         kind = int.from_bytes(head[:id_length], "big")
-        size = int.from_bytes(head[id_length : id_length + size_length], "big") & (1 << 7 * size_length) - 1
+        size = (
+            int.from_bytes(head[id_length : id_length + size_length], "big")
+            & (1 << 7 * size_length) - 1
+        )
         start += id_length + size_length
         unknown = size == (1 << 7 * size_length) - 1
         if kind in inside:
@@ -114,7 +132,9 @@ def _elements(file: BinaryIO, start: int, end: int, inside: tuple[int, ...]) -> 
 
 
 def _length(head: bytes, place: int) -> int:
-    """Bytes of the number of variable length at `place`, which its leading zeros tell; 0 where it is none."""
+    """Bytes of the number of variable length at `place`, which its leading zeros tell; 0 where it
+    is none.
+    """
     return 0 if place >= len(head) or head[place] == 0 else 9 - head[place].bit_length()
 
 
@@ -147,7 +167,9 @@ def _created_ns(mvhd: bytes) -> int | None:
 
 
 def _boxes(file: BinaryIO, start: int, end: int) -> Iterator[tuple[bytes, int, int]]:
-    """Type, start and end of the boxes from `start` to `end`, those of `_NESTED` replaced by what is in them."""
+    """Type, start and end of the boxes from `start` to `end`, those of `_NESTED` replaced by what
+    is in them.
+    """
     for _ in range(MOST_PARTS):
         if start + 8 > end:
             return

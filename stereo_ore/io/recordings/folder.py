@@ -15,7 +15,14 @@ from stereo_ore.config.models import MAX_PIXELS
 from stereo_ore.errors import FrameError, SourceError
 from stereo_ore.io.recordings.base import make_pair, sampled_depth
 from stereo_ore.io.recordings.both_eyes import file_notes
-from stereo_ore.io.recordings.images import IMAGE_SUFFIXES, STEREO_SUFFIXES, Image, check_alike, read_both, to_8_bit
+from stereo_ore.io.recordings.images import (
+    IMAGE_SUFFIXES,
+    STEREO_SUFFIXES,
+    Image,
+    check_alike,
+    read_both,
+    to_8_bit,
+)
 from stereo_ore.io.recordings.layouts import Eyes, Files, Listing, find_eyes, list_files
 from stereo_ore.io.recordings.names import frame_names, name_stamp, natural_key, split_name
 from stereo_ore.io.recordings.pairing import pair_by_stamp
@@ -30,7 +37,9 @@ MOST_NAMES = 6
 
 @dataclass(frozen=True)
 class ImagePairs:
-    """Frames of two files each; either may be missing. `stamps` [ns] are those of a table, by name of file."""
+    """Frames of two files each; either may be missing. `stamps` [ns] are those of a table, by name
+    of file.
+    """
 
     path: Path
     names: tuple[str, ...]
@@ -48,7 +57,9 @@ class ImagePairs:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Which layout it is, where it has a name, and how the files of the first frame are to be turned."""
+        """Which layout it is, where it has a name, and how the files of the first frame are to be
+        turned.
+        """
         return (*filter(None, (self.layout,)), *file_notes(self.files(0)[0]))
 
     @cached_property
@@ -100,7 +111,9 @@ def open_two_files(left: Path, right: Path, max_skew_ms: float = 5.0) -> ImagePa
         if not file.exists():
             raise SourceError("no such file", file=file, remedy="Check the path")
     if left.is_dir() and right.is_dir():
-        return _paired(left.parent, Eyes(_by_stem(left, "left"), _by_stem(right, "right")), max_skew_ms)
+        return _paired(
+            left.parent, Eyes(_by_stem(left, "left"), _by_stem(right, "right")), max_skew_ms
+        )
     side, key = split_name(left.stem)
     name = key or left.resolve().parent.name if side else left.stem
     if all(file.suffix.lower() in VIDEO_SUFFIXES for file in (left, right)):
@@ -108,7 +121,9 @@ def open_two_files(left: Path, right: Path, max_skew_ms: float = 5.0) -> ImagePa
     for file, other in ((left, right), (right, left)):
         if file.is_dir() or file.suffix.lower() in VIDEO_SUFFIXES:
             raise SourceError(
-                f"and {other.name} are not of the same kind", file=file, remedy="Give two images, videos or folders"
+                f"and {other.name} are not of the same kind",
+                file=file,
+                remedy="Give two images, videos or folders",
             )
     return ImagePairs(left.parent, frame_names([name]), ((left, right),))
 
@@ -150,25 +165,34 @@ def _by_stem(folder: Path, side: str) -> Files:
 
 
 def _paired(path: Path, eyes: Eyes, max_skew_ms: float) -> ImagePairs:
-    """Frames of the same name or, where all names are stamps that differ, of nearly the same stamp."""
+    """Frames of the same name or, where all names are stamps that differ, of nearly the same
+    stamp.
+    """
     left, right = eyes.left, eyes.right
     if left.keys() == right.keys() or not (keys := _pairs_by_stamp(left, right, max_skew_ms)):
         if not left.keys() & right.keys():
             raise _none_together(path, eyes)
         keys = [(key, key) for key in sorted(left.keys() | right.keys(), key=natural_key)]
     names = frame_names(one if one in left else other for one, other in keys)
-    tables = [stamp_table(Path(folder)) for folder in {os.path.dirname(file): None for file in left.values()}]
+    tables = [
+        stamp_table(Path(folder))
+        for folder in {os.path.dirname(file): None for file in left.values()}
+    ]
     table = {name: ns for each in tables for name, ns in each.items()}
     pairs = tuple((left.get(one), right.get(other)) for one, other in keys)
     return ImagePairs(path, names, pairs, stamps=table, layout=eyes.layout)
 
 
 def _pairs_by_stamp(left: Files, right: Files, max_skew_ms: float) -> list[tuple[str, str]]:
-    """Keys of the left and right image of each frame, where all are stamps; of a lost one, that of its partner."""
+    """Keys of the left and right image of each frame, where all are stamps; of a lost one, that of
+    its partner.
+    """
     stamps = [{key: name_stamp(key) for key in files} for files in (left, right)]
     if not all(each and None not in each.values() for each in stamps):
         return []
-    one, other = (sorted((ns, key) for key, ns in each.items() if ns is not None) for each in stamps)
+    one, other = (
+        sorted((ns, key) for key, ns in each.items() if ns is not None) for each in stamps
+    )
     pairs = pair_by_stamp([ns for ns, _ in one], [ns for ns, _ in other], round(max_skew_ms * 1e6))
     return [("" if i is None else one[i][1], "" if j is None else other[j][1]) for i, j in pairs]
 
@@ -184,9 +208,13 @@ def _none_together(path: Path, eyes: Eyes) -> SourceError:
     examples = [min(files.values()).name for files in (eyes.left, eyes.right) if files]
     such = f": {', '.join(examples)}" if examples else ""
     return SourceError(
-        f"has {len(eyes.left)} left and {len(eyes.right)} right images, none of which belong together{such}",
+        f"has {len(eyes.left)} left and {len(eyes.right)} right images, none of which belong"
+        f" together{such}",
         file=path,
-        remedy="Left and right images must have the same name but for the mark, or all be named by their stamps",
+        remedy=(
+            "Left and right images must have the same name but for the mark, or all be named by"
+            " their stamps"
+        ),
     )
 
 
@@ -195,7 +223,9 @@ def _unknown_layout(path: Path, listing: Listing, eyes: Eyes) -> SourceError:
     if found := [*eyes.left.values(), *eyes.right.values()]:
         problem = f"holds images of one eye only, such as {found[0].name}"
     else:
-        problem = f"holds no stereo images that are known ({len(children)} entries{_named(children)})"
+        problem = (
+            f"holds no stereo images that are known ({len(children)} entries{_named(children)})"
+        )
     images = {file for files in listing.values() for file in files}
     files = [child.name for child in children if child.is_file() and child not in images]
     hint = f"; it holds {files[0]}: name a recording file itself" if files else ""

@@ -20,7 +20,8 @@ RIGHT_FIRST = 2
 """Content interpretation type: the first constituent frame is the right eye."""
 START_CODE = b"\x00\x00\x01"
 _HEADER_BYTES = {0x06: 1, 0x4E: 2}
-"""Length of the unit's header by its first byte: messages (SEI) of H.264, and of H.265 before the picture."""
+"""Length of the unit's header by its first byte: messages (SEI) of H.264, and of H.265 before the
+picture."""
 
 
 def packing_of(access_unit: bytes) -> str | None:
@@ -51,7 +52,9 @@ def _messages(data: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def _arrangement(payload: bytes) -> str | None:
-    """arrangement_id ue(v), cancel_flag u(1), type u(7), quincunx u(1), content_interpretation_type u(6)."""
+    """arrangement_id ue(v), cancel_flag u(1), type u(7), quincunx u(1), content_interpretation_type
+    u(6).
+    """
     bits = "".join(f"{byte:08b}" for byte in payload[:16])
     place = 2 * (len(bits) - len(bits.lstrip("0"))) + 1
     fields = bits[place : place + 15]

@@ -1,4 +1,6 @@
-"""How large a picture an image file claims to hold, read from its header before anything is decoded."""
+"""How large a picture an image file claims to hold, read from its header before anything is
+decoded.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,13 @@ NO_PICTURE = 0b101
 MOST_TAGS, MOST_PAGES = 4096, 10_000
 _BLANK = rb"(?:\s|#[^\n]*\n)+"
 _NETPBM = re.compile(
-    rb"P[56]" + _BLANK + rb"(?P<width>\d{1,9})" + _BLANK + rb"(?P<height>\d{1,9})" + _BLANK + rb"(?P<largest>\d{1,5})\s"
+    rb"P[56]"
+    + _BLANK
+    + rb"(?P<width>\d{1,9})"
+    + _BLANK
+    + rb"(?P<height>\d{1,9})"
+    + _BLANK
+    + rb"(?P<largest>\d{1,5})\s"
 )
 
 
@@ -34,7 +42,9 @@ def claimed_size(data: bytes) -> tuple[int, int] | None:
 
 
 def _png(data: bytes) -> tuple[int, int] | None:
-    """The size in a PNG all of whose chunks are there: OpenCV allocates what the length of a chunk claims."""
+    """The size in a PNG all of whose chunks are there: OpenCV allocates what the length of a chunk
+    claims.
+    """
     place, kind = 8, b""
     while kind != b"IEND":
         length, kind = struct.unpack_from(">I4s", data, place)
@@ -70,11 +80,17 @@ def _jpeg(data: bytes) -> tuple[int, int] | None:
 def _tiff(data: bytes) -> tuple[int, int] | None:
     """The size in the first directory of a TIFF or BigTIFF."""
     found = tiff_tags(data)
-    return (found[TIFF_WIDTH], found[TIFF_HEIGHT]) if TIFF_WIDTH in found and TIFF_HEIGHT in found else None
+    return (
+        (found[TIFF_WIDTH], found[TIFF_HEIGHT])
+        if TIFF_WIDTH in found and TIFF_HEIGHT in found
+        else None
+    )
 
 
 def tiff_pages(data: bytes) -> int:
-    """Number of pictures in a TIFF, smaller copies and masks left out; those before damage, where it is damaged."""
+    """Number of pictures in a TIFF, smaller copies and masks left out; those before damage, where
+    it is damaged.
+    """
     pages, start, seen = 0, None, set[int]()
     try:
         while start != 0 and (directory := _directory(data, start)) and directory.start not in seen:
@@ -87,7 +103,8 @@ def tiff_pages(data: bytes) -> int:
 
 
 def tiff_tags(data: bytes, raw: Collection[int] = ()) -> dict[int, Any]:
-    """First value of each whole-numbered tag in the first directory; of the tags in `raw` their bytes.
+    """First value of each whole-numbered tag in the first directory; of the tags in `raw` their
+    bytes.
 
     Empty where the directory is damaged.
     """
@@ -99,7 +116,9 @@ def tiff_tags(data: bytes, raw: Collection[int] = ()) -> dict[int, Any]:
 
 
 class _Directory(NamedTuple):
-    """A directory of a TIFF: byte order, whether it is a BigTIFF, where it is, how many entries, where the next is."""
+    """A directory of a TIFF: byte order, whether it is a BigTIFF, where it is, how many entries,
+    where the next is.
+    """
 
     order: str
     big: bool
@@ -119,7 +138,11 @@ def _directory(data: bytes, start: int | None) -> _Directory | None:
         (start,) = struct.unpack_from(number, data, 8 if big else 4)
     (count,) = struct.unpack_from(order + ("Q" if big else "H"), data, start)
     end = start + head + entry * count
-    following = struct.unpack_from(number, data, end)[0] if end + struct.calcsize(number) <= len(data) else 0
+    following = (
+        struct.unpack_from(number, data, end)[0]
+        if end + struct.calcsize(number) <= len(data)
+        else 0
+    )
     return _Directory(order, big, start, count, following)
 
 
@@ -130,10 +153,16 @@ def _tags(data: bytes, directory: _Directory, raw: Collection[int] = ()) -> dict
     for place in range(first, first + entry * min(entries, MOST_TAGS), entry):
         tag, kind = struct.unpack_from(order + "HH", data, place)
         if tag in raw:
-            (size,), (where,) = (struct.unpack_from(order + "I", data, place + shift) for shift in (4, 8))
-            found.setdefault(tag, data[place + 8 : place + 8 + size] if size <= 4 else data[where : where + size])
+            (size,), (where,) = (
+                struct.unpack_from(order + "I", data, place + shift) for shift in (4, 8)
+            )
+            found.setdefault(
+                tag, data[place + 8 : place + 8 + size] if size <= 4 else data[where : where + size]
+            )
         elif kind in TIFF_TYPES:
-            found.setdefault(tag, struct.unpack_from(order + TIFF_TYPES[kind], data, place + value)[0])
+            found.setdefault(
+                tag, struct.unpack_from(order + TIFF_TYPES[kind], data, place + value)[0]
+            )
     return found
 
 
@@ -161,7 +190,11 @@ def _netpbm(data: bytes) -> tuple[int, int] | None:
         return None
     width, height, largest = (int(match[name]) for name in ("width", "height", "largest"))
     samples = width * height * (3 if data[:2] == b"P6" else 1)
-    return (width, height) if match.end() + samples * (1 if largest < 256 else 2) <= len(data) else None
+    return (
+        (width, height)
+        if match.end() + samples * (1 if largest < 256 else 2) <= len(data)
+        else None
+    )
 
 
 _READERS: dict[bytes, Callable[[bytes], tuple[int, int] | None]] = {

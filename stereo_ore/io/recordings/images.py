@@ -21,7 +21,18 @@ from stereo_ore.types import U8
 
 STEREO_SUFFIXES = (".jps", ".mpo")
 """Files that hold both eyes, whatever they are called."""
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".webp", *STEREO_SUFFIXES)
+IMAGE_SUFFIXES = (
+    ".png",
+    ".jpg",
+    ".jpeg",
+    ".tif",
+    ".tiff",
+    ".bmp",
+    ".pgm",
+    ".ppm",
+    ".webp",
+    *STEREO_SUFFIXES,
+)
 BYTES_PER_PIXEL, HEADER_BYTES = 8, 1_000_000
 """Four channels of 16 bit, uncompressed, and what else a file may hold."""
 JPEG, _PNG, _TIFF = b"\xff\xd8", b"\x89PNG\r\n\x1a\n", (b"II", b"MM")
@@ -30,9 +41,11 @@ _DAMAGE = re.compile(rb"libpng error|TIFF_Error")
 TURNS = {3: "by 180°", 6: "by 90° clockwise", 8: "by 90° anticlockwise"}
 """Exif's orientations in words; the others mirror."""
 BRIGHT_SHARE = 1e-4
-"""Share of the pixels that may be brighter than the depth of the recording allows: defects of the sensor."""
+"""Share of the pixels that may be brighter than the depth of the recording allows: defects of the
+sensor."""
 MOST_SCANS = 64
-"""Scans of a progressive JPEG: decoders go through the whole picture for each, whatever little it holds."""
+"""Scans of a progressive JPEG: decoders go through the whole picture for each, whatever little it
+holds."""
 
 
 Image = npt.NDArray[Any]
@@ -40,7 +53,8 @@ Image = npt.NDArray[Any]
 
 
 def read_image(path: Path, max_pixels: int = MAX_PIXELS) -> Image:
-    """Decode an image file as stored: (H, W, 3) BGR, uint8 or uint16; grey is repeated, alpha dropped.
+    """Decode an image file as stored: (H, W, 3) BGR, uint8 or uint16; grey is repeated, alpha
+    dropped.
 
     Raises
     ------
@@ -71,7 +85,9 @@ def read_both(left: Path, right: Path, max_pixels: int = MAX_PIXELS) -> tuple[Im
 
 
 def turn_of(data: bytes) -> int:
-    """The turn that an image file asks viewers for, as Exif counts them; 1: none. Pixels are read as stored."""
+    """The turn that an image file asks viewers for, as Exif counts them; 1: none. Pixels are read
+    as stored.
+    """
     if data.startswith(JPEG):
         return jpeg.orientation(data)
     if data.startswith(_PNG):
@@ -94,7 +110,10 @@ def _check_turns(files: Sequence[tuple[Path, bytes]]) -> None:
             f"says that it is to be turned {words}, {other_file.name} does not say so",
             code="ORIENTATION_MISMATCH",
             file=turned,
-            remedy="Calibrations belong to pixels as stored; turn the eyes alike: exiftool -Orientation= FILES",
+            remedy=(
+                "Calibrations belong to pixels as stored; turn the eyes alike: exiftool"
+                " -Orientation= FILES"
+            ),
         )
 
 
@@ -107,10 +126,14 @@ def read_bytes(path: Path, max_pixels: int = MAX_PIXELS) -> bytes:
         with path.open("rb") as file:
             data = file.read(most + 1)
     except OSError as fault:
-        raise FrameError(f"can't be read: {fault.strerror}", code="UNREADABLE_IMAGE", file=path) from None
+        raise FrameError(
+            f"can't be read: {fault.strerror}", code="UNREADABLE_IMAGE", file=path
+        ) from None
     if len(data) > most:
         problem = f"has more than {most:,} bytes, which no image of {max_pixels:,} pixels has"
-        raise FrameError(problem, code="IMAGE_TOO_LARGE", file=path, remedy="Record or copy it again")
+        raise FrameError(
+            problem, code="IMAGE_TOO_LARGE", file=path, remedy="Record or copy it again"
+        )
     return data
 
 
@@ -125,11 +148,15 @@ def decode_image(data: bytes, path: Path, max_pixels: int = MAX_PIXELS) -> Image
 def _check(path: Path, data: bytes, max_pixels: int) -> None:
     """Refuse what need not be decoded to be known as damaged or too large."""
     if not data:
-        raise FrameError("is empty", code="UNREADABLE_IMAGE", file=path, remedy="Record or copy it again")
+        raise FrameError(
+            "is empty", code="UNREADABLE_IMAGE", file=path, remedy="Record or copy it again"
+        )
     _check_complete(path, data)
     if data.startswith(b"\xff\xd8") and (scans := data.count(b"\xff\xda")) > MOST_SCANS:
         problem = f"has {scans:,} scans; a camera's JPEG has at most {MOST_SCANS}"
-        raise FrameError(problem, code="UNREADABLE_IMAGE", file=path, remedy="Record or copy it again")
+        raise FrameError(
+            problem, code="UNREADABLE_IMAGE", file=path, remedy="Record or copy it again"
+        )
     _check_claim(path, data, max_pixels)
 
 
@@ -137,17 +164,24 @@ def _usable(image: Image | None, path: Path) -> Image:
     """What was decoded, if it was, as BGR."""
     if image is None:
         raise FrameError(
-            "can't be decoded as an image", code="UNREADABLE_IMAGE", file=path, remedy="Record or copy it again"
+            "can't be decoded as an image",
+            code="UNREADABLE_IMAGE",
+            file=path,
+            remedy="Record or copy it again",
         )
     if image.dtype not in (np.uint8, np.uint16):
-        raise FrameError(f"has {image.dtype} pixels; 8 or 16 bit are read", code="UNREADABLE_IMAGE", file=path)
+        raise FrameError(
+            f"has {image.dtype} pixels; 8 or 16 bit are read", code="UNREADABLE_IMAGE", file=path
+        )
     return as_bgr(image, path)
 
 
 def is_complete(data: bytes) -> bool | None:
-    """Whether a PNG or JPEG is there to its end, with or without bytes behind it; None for other formats.
+    """Whether a PNG or JPEG is there to its end, with or without bytes behind it; None for other
+    formats.
 
-    A file whose inside is damaged but whose last bytes are an end is complete: it will not get better.
+    A file whose inside is damaged but whose last bytes are an end is complete: it will not get
+    better.
     """
     if data.startswith(JPEG):
         return data.endswith(b"\xff\xd9") or jpeg.end_of(data) is not None
@@ -175,11 +209,15 @@ def _check_complete(path: Path, data: bytes) -> None:
 
 
 def _check_claim(path: Path, data: bytes, max_pixels: int) -> None:
-    """Refuse before decoding what is too large, and formats that are not read: their claims are not known."""
+    """Refuse before decoding what is too large, and formats that are not read: their claims are not
+    known.
+    """
     size = claimed_size(data)
     if size is None:
         remedy = "PNG, JPEG, TIFF, BMP, WebP, PGM and PPM are read; record or copy it again"
-        raise FrameError("can't be decoded as an image", code="UNREADABLE_IMAGE", file=path, remedy=remedy)
+        raise FrameError(
+            "can't be decoded as an image", code="UNREADABLE_IMAGE", file=path, remedy=remedy
+        )
     check_pixels(*size, path, max_pixels)
 
 
@@ -206,7 +244,9 @@ def as_bgr(image: Image, path: Path) -> Image:
     if channels in (1, 2):
         grey = image if image.ndim == 2 else image[:, :, 0]
         return np.repeat(grey[:, :, None], 3, axis=2)
-    raise FrameError(f"has {channels} channels; 1 to 4 are read", code="UNREADABLE_IMAGE", file=path)
+    raise FrameError(
+        f"has {channels} channels; 1 to 4 are read", code="UNREADABLE_IMAGE", file=path
+    )
 
 
 def check_alike(left: Image, right: Image, left_name: str | Path, right_name: str) -> None:
@@ -214,7 +254,10 @@ def check_alike(left: Image, right: Image, left_name: str | Path, right_name: st
     if left.shape != right.shape:
         (h0, w0), (h1, w1) = left.shape[:2], right.shape[:2]
         raise FrameError(
-            f"is {w0}×{h0} but {right_name} is {w1}×{h1}", code="SIZE_MISMATCH", file=left_name, remedy="Record again"
+            f"is {w0}×{h0} but {right_name} is {w1}×{h1}",
+            code="SIZE_MISMATCH",
+            file=left_name,
+            remedy="Record again",
         )
     if left.dtype != right.dtype:
         problem = f"has {left.dtype} pixels but {right_name} has {right.dtype}"
@@ -258,12 +301,17 @@ def check_packing(packing: str, path: Path) -> None:
             f"says that it holds {packing}",
             code="SIZE_MISMATCH",
             file=path,
-            remedy="Only pictures with both eyes beside each other are read; ffmpeg's filter stereo3d makes them",
+            remedy=(
+                "Only pictures with both eyes beside each other are read; ffmpeg's filter stereo3d"
+                " makes them"
+            ),
         )
 
 
 def depth_of(images: Sequence[Image]) -> int:
-    """Bits that the pixels of a recording use, 8 to 16, but for a few that are brighter (defects of the sensor)."""
+    """Bits that the pixels of a recording use, 8 to 16, but for a few that are brighter (defects of
+    the sensor).
+    """
     for bits in range(15, 7, -1):
         bright = sum(int(np.count_nonzero(image >> bits)) for image in images)
         if bright > BRIGHT_SHARE * sum(image.size for image in images):
@@ -272,14 +320,16 @@ def depth_of(images: Sequence[Image]) -> int:
 
 
 def to_8_bit(left: Image, right: Image, depth: int | None = None) -> tuple[U8, U8]:
-    """Bring the images of one pair to 8 bit by one common shift, so that brightnesses stay comparable.
+    """Bring the images of one pair to 8 bit by one common shift, so that brightnesses stay
+    comparable.
 
     Parameters
     ----------
     left, right
         (H, W, 3) uint8 or uint16.
     depth
-        Bits of the recording; None: as many as the pair uses. A 12-bit camera in 16-bit files keeps its contrast.
+        Bits of the recording; None: as many as the pair uses. A 12-bit camera in 16-bit files keeps
+        its contrast.
     """
     if left.dtype == np.uint8:
         return left, right

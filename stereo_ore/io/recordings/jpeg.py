@@ -1,6 +1,8 @@
-"""The structure of a JPEG file: where its picture ends, how it is to be turned, whether it holds both eyes.
+"""The structure of a JPEG file: where its picture ends, how it is to be turned, whether it holds
+both eyes.
 
-Markers as in ITU-T T.81; turns as in Exif 3.0; pairs as in CIPA DC-007 (multi-picture format) and in JPEG stereo.
+Markers as in ITU-T T.81; turns as in Exif 3.0; pairs as in CIPA DC-007 (multi-picture format) and
+in JPEG stereo.
 """
 
 from __future__ import annotations
@@ -16,9 +18,12 @@ SOI, EOI, SCAN = 0xD8, 0xD9, 0xDA
 _MARKER = re.compile(rb"\xff[\x01-\xcf\xd8-\xfe]", re.DOTALL)
 """What is neither a stuffed byte, nor a restart, nor filling."""
 _EXTRANEOUS = re.compile(rb"Corrupt JPEG data: (\d+) extraneous bytes before marker 0xd9")
-_DAMAGE = re.compile(rb"Corrupt JPEG data: (?!\d+ extraneous)|Premature end of JPEG|Inconsistent progression")
+_DAMAGE = re.compile(
+    rb"Corrupt JPEG data: (?!\d+ extraneous)|Premature end of JPEG|Inconsistent progression"
+)
 STRAY_BYTES = 64
-"""Cameras leave a few bytes, or zeros, behind the last row; damage that shifts the rows leaves more."""
+"""Cameras leave a few bytes, or zeros, behind the last row; damage that shifts the rows leaves
+more."""
 EXIF, MPF, JPS = (0xE1, b"Exif\0\0"), (0xE2, b"MPF\0"), (0xE3, b"_JPSJPS_")
 """Segments by marker and first bytes."""
 MP_ENTRIES, MP_ENTRY_BYTES, MP_THUMBNAIL = 0xB002, 16, 0x010000
@@ -27,7 +32,9 @@ JPS_SIDE_BY_SIDE, JPS_OVER_UNDER, JPS_LEFT_FIRST = 2, 3, 4
 
 
 def end_of(data: bytes, start: int = 0) -> int | None:
-    """Place behind the end marker of the JPEG that begins at `start`; None where its markers are not complete."""
+    """Place behind the end marker of the JPEG that begins at `start`; None where its markers are
+    not complete.
+    """
     place = start + 2
     while match := _MARKER.search(data, place):
         marker, place = match[0][1], match.end()
@@ -65,7 +72,9 @@ def segments(data: bytes) -> Iterator[tuple[int, int, int]]:
 
 
 def orientation(data: bytes) -> int:
-    """The turn that Exif asks viewers for: 1 none, 3 half, 6 and 8 a quarter, the others mirrored."""
+    """The turn that Exif asks viewers for: 1 none, 3 half, 6 and 8 a quarter, the others
+    mirrored.
+    """
     found = _segment(data, EXIF)
     return tiff_tags(data[slice(*found)]).get(ORIENTATION, 1) if found else 1
 
@@ -81,7 +90,11 @@ def jps_packing(data: bytes) -> str | None:
     if layout == JPS_SIDE_BY_SIDE:
         return "left-right" if flags & JPS_LEFT_FIRST else "right-left"
     upper = "left" if flags & JPS_LEFT_FIRST else "right"
-    return f"over and under, {upper} eye on top" if layout == JPS_OVER_UNDER else "rows or colours of either eye"
+    return (
+        f"over and under, {upper} eye on top"
+        if layout == JPS_OVER_UNDER
+        else "rows or colours of either eye"
+    )
 
 
 def pictures(data: bytes) -> tuple[bytes, ...]:

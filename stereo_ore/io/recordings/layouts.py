@@ -1,8 +1,8 @@
 """Which files of a folder are the left and the right image of which frame.
 
-Eyes are told by their folders or by the names of their files: by the words left and right, by the letters L and R, or
-as a known recorder or data set tells them (`LAYOUTS`). Where a name holds more than one such mark, the one counts by
-which most files find their partner.
+Eyes are told by their folders or by the names of their files: by the words left and right, by the
+letters L and R, or as a known recorder or data set tells them (`LAYOUTS`). Where a name holds more
+than one such mark, the one counts by which most files find their partner.
 """
 
 from __future__ import annotations
@@ -22,17 +22,21 @@ log = logging.getLogger(__name__)
 Files = dict[str, Path]
 """The files of one eye by the key of their frame."""
 Listing = dict[str, list[Path]]
-"""Files by their folder, relative to the recording's, with ``/`` (``""``: its own); folders without files too."""
+"""Files by their folder, relative to the recording's, with ``/`` (``""``: its own); folders without
+files too."""
 MOST_LEVELS = 6
 STRUCTURE = frozenset(["data", "image", "images", "img", "cam", "camera", "mav0"]) | frozenset(
     ["rect", "rectified", "raw", "gray", "grey", "color", "colour"]
 )
-"""Folders, and what is left of a folder's name without its mark, that say nothing about the frame."""
+"""Folders, and what is left of a folder's name without its mark, that say nothing about the
+frame."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """How a recorder or data set names its files: ``*`` stands for the frame, folders may stand before."""
+    """How a recorder or data set names its files: ``*`` stands for the frame, folders may stand
+    before.
+    """
 
     name: str
     left: str
@@ -90,7 +94,8 @@ class Eyes:
 
 
 def list_files(root: Path, suffixes: tuple[str, ...], skip: Container[str] = ()) -> Listing:
-    """The files of some suffixes by folder, each folder's sorted by name; hidden ones and paths in `skip` left out.
+    """The files of some suffixes by folder, each folder's sorted by name; hidden ones and paths in
+    `skip` left out.
 
     A folder with the name of a file is listed as one, to fail when it is read.
     """
@@ -99,7 +104,9 @@ def list_files(root: Path, suffixes: tuple[str, ...], skip: Container[str] = ())
     return dict(sorted(listing.items()))
 
 
-def _list(listing: Listing, root: Path, folder: str, suffixes: tuple[str, ...], skip: Container[str]) -> None:
+def _list(
+    listing: Listing, root: Path, folder: str, suffixes: tuple[str, ...], skip: Container[str]
+) -> None:
     folders, found = [], []
     parent = root / folder if folder else root
     with os.scandir(parent) as entries:
@@ -142,7 +149,11 @@ def find_eyes(listing: Listing, default_key: str) -> Eyes:
         found = rule()
         if found.pairs:
             return found
-        best = max(best, found, key=lambda eyes: (bool(eyes.left and eyes.right), bool(eyes.left or eyes.right)))
+        best = max(
+            best,
+            found,
+            key=lambda eyes: (bool(eyes.left and eyes.right), bool(eyes.left or eyes.right)),
+        )
     return best
 
 
@@ -170,18 +181,27 @@ def _folder_key(rest: str) -> str:
 
 def _by_folder(folders: dict[str, tuple[Side, str]], listing: Listing) -> Eyes:
     """Eyes of marked folders; their files' names may carry the mark too (left/left0001.png)."""
-    if {side for side, _ in folders.values()} != {"left", "right"} and not all(map(_plain, folders)):
+    if {side for side, _ in folders.values()} != {"left", "right"} and not all(
+        map(_plain, folders)
+    ):
         return Eyes()
     kept = _keyed(folders, listing, strip=False)
     sides = {"left": kept.left, "right": kept.right}
-    if any(mark.side == side for side, files in sides.items() for file in files.values() for mark in marks(file.name)):
+    if any(
+        mark.side == side
+        for side, files in sides.items()
+        for file in files.values()
+        for mark in marks(file.name)
+    ):
         stripped = _keyed(folders, listing, strip=True)
         return stripped if stripped.pairs >= kept.pairs else kept
     return kept
 
 
 def _keyed(folders: dict[str, tuple[Side, str]], listing: Listing, strip: bool) -> Eyes:
-    """Files of marked folders by their names, from which the last mark of their own eye is taken."""
+    """Files of marked folders by their names, from which the last mark of their own eye is
+    taken.
+    """
     eyes = Eyes()
     for folder, (side, prefix) in folders.items():
         for file in listing[folder]:
@@ -210,22 +230,33 @@ def _by_file(listing: Listing, default_key: str) -> Eyes:
 
 def may_be_eye(stem: str) -> bool:
     """Whether a file's name tells an eye, if only there is one that tells the other."""
-    names = (pattern for layout in LAYOUTS for pattern in (layout.left, layout.right) if "/" not in pattern)
+    names = (
+        pattern
+        for layout in LAYOUTS
+        for pattern in (layout.left, layout.right)
+        if "/" not in pattern
+    )
     return bool(marks(stem)) or any(_key(stem, name) is not None for name in names)
 
 
 def _by_layout(listing: Listing, default_key: str) -> Eyes:
-    everything = "\n".join(f"{folder}/{file.name}" for folder, files in listing.items() for file in files)
+    everything = "\n".join(
+        f"{folder}/{file.name}" for folder, files in listing.items() for file in files
+    )
     everything += "\n" + "\n".join(listing)
     for layout in LAYOUTS:
-        if layout.left.strip("*/") not in everything:  # a hundred thousand names need not be looked at one by one
+        if (
+            layout.left.strip("*/") not in everything
+        ):  # a hundred thousand names need not be looked at one by one
             continue
         eyes = Eyes(layout=layout.name)
         for side, pattern in (("left", layout.left), ("right", layout.right)):
             for key, file in _matches(listing, pattern, layout):
                 eyes.add("left" if side == "left" else "right", key or default_key, file)
         folders = [pattern.rpartition("/")[0] for pattern in (layout.left, layout.right)]
-        if eyes.pairs or (all(folders) and set(folders) <= {_tail(folder, folders) for folder in listing}):
+        if eyes.pairs or (
+            all(folders) and set(folders) <= {_tail(folder, folders) for folder in listing}
+        ):
             return eyes
     return Eyes()
 
@@ -236,9 +267,14 @@ def _tail(folder: str, folders: Sequence[str]) -> str:
 
 
 def _has_rivals(files: Sequence[Path], layout: Layout) -> bool:
-    """Whether more views are there than the two of a layout and nothing says that these two are the pair."""
+    """Whether more views are there than the two of a layout and nothing says that these two are the
+    pair.
+    """
     stems = {file.stem for file in files}
-    numbers = {stem.removeprefix(layout.left.rstrip("0123456789")) for stem in stems - {layout.left, layout.right}}
+    numbers = {
+        stem.removeprefix(layout.left.rstrip("0123456789"))
+        for stem in stems - {layout.left, layout.right}
+    }
     truth = {f"disp{view[-1]}" for view in (layout.left, layout.right)}
     return any(number.isdecimal() for number in numbers) and not truth <= stems
 

@@ -1,4 +1,6 @@
-"""Words and letters in names that tell an eye, and which of them counts where a name has several."""
+"""Words and letters in names that tell an eye, and which of them counts where a name has
+several.
+"""
 
 from __future__ import annotations
 
@@ -41,10 +43,12 @@ def marks(text: str) -> list[Mark]:
 
 
 def read_marks(texts: Sequence[str], groups: Sequence[str] = ()) -> list[tuple[Side | None, str]]:
-    """Eye and rest of each name, read alike for all of them; partners are in the same group (one, by default).
+    """Eye and rest of each name, read alike for all of them; partners are in the same group (one,
+    by default).
 
-    Of the ways to read them (which kind of mark, and the how manieth where a name has several) the one is taken by
-    which most find their partner; of equals the last mark, and words before letters.
+    Of the ways to read them (which kind of mark, and the how manieth where a name has several) the
+    one is taken by which most find their partner; of equals the last mark, and words before
+    letters.
     """
     found = [marks(text) for text in texts]
     ways = [(kind, place) for kind in _KINDS for place in range(-1, -1 - _most(found, kind), -1)]
@@ -71,9 +75,11 @@ def _most(found: Sequence[Sequence[Mark]], kind: str) -> int:
 def _read(
     texts: Sequence[str], found: Sequence[Sequence[Mark]], kind: str, place: int
 ) -> list[tuple[Side | None, str]]:
-    """Eye and rest by the mark of a kind at a `place` from the end (-1 the last); 0: by all, which must agree.
+    """Eye and rest by the mark of a kind at a `place` from the end (-1 the last); 0: by all, which
+    must agree.
 
-    A name without such a mark is read by the last of its words or else letters, so that no eye is lost.
+    A name without such a mark is read by the last of its words or else letters, so that no eye is
+    lost.
     """
     result: list[tuple[Side | None, str]] = []
     for text, each in zip(texts, found, strict=True):
@@ -98,15 +104,25 @@ def joined(*parts: str) -> str:
     return "_".join(filter(None, parts))
 
 
-def _pairs(reading: Iterable[tuple[Side | None, str]], groups: Sequence[str]) -> frozenset[tuple[int, int]]:
+def _pairs(
+    reading: Iterable[tuple[Side | None, str]], groups: Sequence[str]
+) -> frozenset[tuple[int, int]]:
     """Numbers of the left and right name of each pair."""
     sides: dict[Side, dict[tuple[str, str], int]] = {"left": {}, "right": {}}
     for number, (side, key) in enumerate(reading):
         if side:
             sides[side][groups[number], key] = number
-    return frozenset((number, sides["right"][key]) for key, number in sides["left"].items() if key in sides["right"])
+    return frozenset(
+        (number, sides["right"][key])
+        for key, number in sides["left"].items()
+        if key in sides["right"]
+    )
 
 
-def _say_doubt(taken: frozenset[tuple[int, int]], equals: Sequence[frozenset[tuple[int, int]]]) -> None:
+def _say_doubt(
+    taken: frozenset[tuple[int, int]], equals: Sequence[frozenset[tuple[int, int]]]
+) -> None:
     if any(other != taken for other in equals):
-        log.warning("names can be read in more than one way; the last mark in a name is taken for the eye's")
+        log.warning(
+            "names can be read in more than one way; the last mark in a name is taken for the eye's"
+        )

@@ -1,4 +1,6 @@
-"""MCAP files that were written without ROS 2: messages in protobuf (Foxglove) or in ROS 1's form, or bare bytes."""
+"""MCAP files that were written without ROS 2: messages in protobuf (Foxglove) or in ROS 1's form,
+or bare bytes.
+"""
 
 from __future__ import annotations
 
@@ -55,7 +57,11 @@ class McapFile:
     @staticmethod
     def reads(path: Path) -> bool:
         """Whether a file is an MCAP that is not ROS 2's."""
-        return path.is_file() and path.suffix.lower() in (".mcap", ".svo2") and profile_of(path) not in (None, "ros2")
+        return (
+            path.is_file()
+            and path.suffix.lower() in (".mcap", ".svo2")
+            and profile_of(path) not in (None, "ros2")
+        )
 
     @property
     def types(self) -> dict[str, str]:
@@ -89,8 +95,12 @@ class McapFile:
     def raw(
         self, topics: Collection[str], start: int | None = None, stop: int | None = None
     ) -> Iterator[tuple[Channel, int, bytes]]:
-        """Channel, time of recording [ns] and bytes of the messages of some topics, from `start` to before `stop`."""
-        for _, channel, message in self._reader.iter_messages(list(topics), starting_at=start, ending_before=stop):
+        """Channel, time of recording [ns] and bytes of the messages of some topics, from `start` to
+        before `stop`.
+        """
+        for _, channel, message in self._reader.iter_messages(
+            list(topics), starting_at=start, ending_before=stop
+        ):
             yield channel, message.log_time, message.data
 
     def close(self) -> None:
@@ -99,7 +109,9 @@ class McapFile:
 
     def _decoder(self, channel: Channel) -> Decode | None:
         if channel.id not in self._decoders:
-            self._decoders[channel.id] = _decoder(channel, self._schemas.get(channel.schema_id), self._path)
+            self._decoders[channel.id] = _decoder(
+                channel, self._schemas.get(channel.schema_id), self._path
+            )
         return self._decoders[channel.id]
 
 
@@ -115,7 +127,9 @@ def _type(schema: Schema | None) -> str:
 
 
 def _decoder(channel: Channel, schema: Schema | None, path: Path) -> Decode | None:
-    """What turns the bytes of a channel's messages into objects; None for encodings that are not read."""
+    """What turns the bytes of a channel's messages into objects; None for encodings that are not
+    read.
+    """
     if schema is None:
         return None
     try:
@@ -138,7 +152,9 @@ def _ros(schema: Schema, encoding: str) -> Decode:
         raise MissingExtraError("rosbags", "bags") from None
     store, kind = get_typestore(Stores.EMPTY), _type(schema)
     # Types that a schema only names are those of the distribution.
-    store.register(get_typestore(Stores.ROS1_NOETIC if encoding == "ros1" else Stores.ROS2_HUMBLE).fielddefs)
+    store.register(
+        get_typestore(Stores.ROS1_NOETIC if encoding == "ros1" else Stores.ROS2_HUMBLE).fielddefs
+    )
     own = get_types_from_msg(schema.data.decode(), kind)
     store.register({name: fields for name, fields in own.items() if name not in store.fielddefs})
     read = store.deserialize_ros1 if encoding == "ros1" else store.deserialize_cdr
@@ -151,7 +167,9 @@ def _protobuf(schema: Schema, path: Path) -> Decode:
     except ImportError:
         raise MissingExtraError("protobuf", "bags") from None
     pool = descriptor_pool.DescriptorPool()
-    files = {file.name: file for file in descriptor_pb2.FileDescriptorSet.FromString(schema.data).file}
+    files = {
+        file.name: file for file in descriptor_pb2.FileDescriptorSet.FromString(schema.data).file
+    }
 
     def add(name: str) -> None:
         """A file after those that it needs."""
@@ -166,6 +184,8 @@ def _protobuf(schema: Schema, path: Path) -> Decode:
 
     def decode(data: bytes) -> Any:
         message = kind.FromString(data)
-        return SimpleNamespace(**{field.name: getattr(message, field.name) for field in kind.DESCRIPTOR.fields})
+        return SimpleNamespace(
+            **{field.name: getattr(message, field.name) for field in kind.DESCRIPTOR.fields}
+        )
 
     return decode

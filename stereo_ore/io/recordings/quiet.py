@@ -1,4 +1,6 @@
-"""Decoders in C write to the process's standard error behind Python's back: here it is heard and kept."""
+"""Decoders in C write to the process's standard error behind Python's back: here it is heard and
+kept.
+"""
 
 from __future__ import annotations
 
@@ -13,17 +15,19 @@ from typing import TypeVar
 Value = TypeVar("Value")
 
 _DECODER = re.compile(
-    rb"libpng|JPEG|JFIF|Adobe color|Inconsistent progression|TIFF|OpenCV|grfmt_|loadsave|bitstrm|cap_\w+\.cpp"
+    rb"libpng|JPEG|JFIF|Adobe color|Inconsistent"
+    rb" progression|TIFF|OpenCV|grfmt_|loadsave|bitstrm|cap_\w+\.cpp"
     rb"|@ 0x[0-9a-f]+\]|packet of size"
 )
 _lock = threading.Lock()
 
 
 def overheard(action: Callable[[], Value]) -> tuple[Value, bytes]:
-    """The result of `action` and what decoders wrote to standard error meanwhile, which stays silent.
+    """The result of `action` and what decoders wrote to standard error meanwhile, which stays
+    silent.
 
-    libjpeg and libtiff have no other way to say that the picture they return is damaged (libtiff from OpenCV 5 on).
-    Lines that another thread wrote in that time are passed on.
+    libjpeg and libtiff have no other way to say that the picture they return is damaged (libtiff
+    from OpenCV 5 on). Lines that another thread wrote in that time are passed on.
     """
     with _lock, tempfile.TemporaryFile() as ear:
         try:

@@ -74,7 +74,9 @@ class Retimed:
 
 
 def retime(source: Source, start_ns: int | None, fps: float | None) -> Source:
-    """The same recording, begun at `start_ns` and with `fps` frames a second, each where it is given."""
+    """The same recording, begun at `start_ns` and with `fps` frames a second, each where it is
+    given.
+    """
     if start_ns is None and fps is None:
         return source
     return Retimed(source, start_ns, None if fps is None else 1e9 / fps)
@@ -90,9 +92,13 @@ def parse_time(text: str) -> int:
     """
     try:
         time = datetime.fromisoformat(text)
-        since = (time if time.tzinfo else time.replace(tzinfo=UTC)) - datetime(1970, 1, 1, tzinfo=UTC)
+        since = (time if time.tzinfo else time.replace(tzinfo=UTC)) - datetime(
+            1970, 1, 1, tzinfo=UTC
+        )
     except (ValueError, OverflowError):
         raise ConfigError(
-            f"{text!r} is no time", key="--start-time", remedy="Write it as 2026-03-31T14:05:00.250+02:00"
+            f"{text!r} is no time",
+            key="--start-time",
+            remedy="Write it as 2026-03-31T14:05:00.250+02:00",
         ) from None
     return (since.days * 86_400 + since.seconds) * 10**9 + since.microseconds * 1000

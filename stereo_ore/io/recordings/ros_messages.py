@@ -20,7 +20,11 @@ FOXGLOVE = ("foxglove.", "foxglove_msgs/msg/")
 IMAGE_TYPES = (
     "sensor_msgs/msg/Image",
     "sensor_msgs/msg/CompressedImage",
-    *(prefix + name for prefix in FOXGLOVE for name in ("RawImage", "CompressedImage", "CompressedVideo")),
+    *(
+        prefix + name
+        for prefix in FOXGLOVE
+        for name in ("RawImage", "CompressedImage", "CompressedVideo")
+    ),
 )
 CAMERA_INFO = ("sensor_msgs/msg/CameraInfo", *(prefix + "CameraCalibration" for prefix in FOXGLOVE))
 VIDEO_FORMATS = ("h264", "h265", "hevc", "avc")
@@ -38,7 +42,8 @@ _ENCODINGS: dict[str, tuple[str, int, int | None]] = {  # element type, channels
     "bgra8": ("u1", 4, None),
     "8uc4": ("u1", 4, None),
     "rgba8": ("u1", 4, cv2.COLOR_RGBA2BGR),
-    # ROS names a Bayer pattern by its first row, OpenCV by the pixels around (1, 1): the two meet crosswise.
+    # ROS names a Bayer pattern by its first row, OpenCV by the pixels around (1, 1): the two meet
+    # crosswise.
     "bayer_rggb8": ("u1", 1, cv2.COLOR_BayerBG2BGR),
     "bayer_bggr8": ("u1", 1, cv2.COLOR_BayerRG2BGR),
     "bayer_gbrg8": ("u1", 1, cv2.COLOR_BayerGR2BGR),
@@ -51,7 +56,8 @@ _ENCODINGS: dict[str, tuple[str, int, int | None]] = {  # element type, channels
 
 
 def image(message: Any, path: Path, max_pixels: int = MAX_PIXELS) -> Image:
-    """The picture of an Image or CompressedImage: (H, W, 3) BGR, uint8 or uint16; `path` is for messages.
+    """The picture of an Image or CompressedImage: (H, W, 3) BGR, uint8 or uint16; `path` is for
+    messages.
 
     Raises
     ------
@@ -81,12 +87,15 @@ def _unpack(message: Any, kind: np.dtype[Any], channels: int, path: Path) -> Ima
     data = np.frombuffer(bytes(message.data), np.uint8)
     if height < 1 or width < 1 or step < row or len(data) < height * step:
         raise FrameError(
-            f"{width}×{height} {message.encoding} with a step of {step} does not fit its {len(data)} bytes",
+            f"{width}×{height} {message.encoding} with a step of {step} does not fit its"
+            f" {len(data)} bytes",
             code="TRUNCATED_IMAGE",
             file=path,
         )
     rows = np.ascontiguousarray(data[: height * step].reshape(height, step)[:, :row])
-    pixels = rows.view(kind.newbyteorder(">" if getattr(message, "is_bigendian", False) else "<")).astype(kind)
+    pixels = rows.view(
+        kind.newbyteorder(">" if getattr(message, "is_bigendian", False) else "<")
+    ).astype(kind)
     return pixels.reshape((height, width) if channels == 1 else (height, width, channels))
 
 
@@ -127,16 +136,20 @@ def _eye(info: Any) -> dict[str, Any]:
 
 
 def _resolved(eye: dict[str, Any]) -> dict[str, Any]:
-    """The eye with the size of the whole sensor, where a driver gives the window's although it has an offset.
+    """The eye with the size of the whole sensor, where a driver gives the window's although it has
+    an offset.
 
-    K is then the sensor's or the window's: whichever has its principal point in the image. Both or neither stay as
-    they are, to be refused.
+    K is then the sensor's or the window's: whichever has its principal point in the image. Both or
+    neither stay as they are, to be refused.
     """
     x, y, width, height = eye.get("roi", (0, 0, 0, 0))
     if not (x or y) or (eye["width"], eye["height"]) != (width, height):
         return eye
     cx, cy = eye["K"][2], eye["K"][5]
-    of_sensor, of_window = 0 < cx - x < width and 0 < cy - y < height, 0 < cx < width and 0 < cy < height
+    of_sensor, of_window = (
+        0 < cx - x < width and 0 < cy - y < height,
+        0 < cx < width and 0 < cy < height,
+    )
     if of_sensor and not of_window:
         return {**eye, "width": float(x + width), "height": float(y + height)}
     if of_window and not of_sensor:
@@ -146,4 +159,6 @@ def _resolved(eye: dict[str, Any]) -> dict[str, Any]:
 
 def matrix(info: Any, letter: str) -> F64:
     """K, D, R or P of a CameraInfo, flat; ROS 1 names them by capitals, ROS 2 by small letters."""
-    return np.asarray(getattr(info, letter if hasattr(info, letter) else letter.lower()), np.float64)
+    return np.asarray(
+        getattr(info, letter if hasattr(info, letter) else letter.lower()), np.float64
+    )

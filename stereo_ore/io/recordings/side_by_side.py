@@ -1,4 +1,6 @@
-"""Images that hold both eyes: beside each other, left eye first unless the file says otherwise, or as two pictures."""
+"""Images that hold both eyes: beside each other, left eye first unless the file says otherwise, or
+as two pictures.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,12 @@ import numpy as np
 from stereo_ore.config.models import MAX_PIXELS
 from stereo_ore.errors import SourceError
 from stereo_ore.io.recordings.base import make_pair, sampled_depth
-from stereo_ore.io.recordings.both_eyes import check_eye_size, file_notes, is_stereo_file, read_side_by_side
+from stereo_ore.io.recordings.both_eyes import (
+    check_eye_size,
+    file_notes,
+    is_stereo_file,
+    read_side_by_side,
+)
 from stereo_ore.io.recordings.images import Image, to_8_bit
 from stereo_ore.io.recordings.names import frame_names, split_name
 from stereo_ore.io.recordings.stamps import Stamp, file_stamp

@@ -22,7 +22,9 @@ class Stamp(NamedTuple):
 
 
 def file_stamp(name: str, files: Iterable[Path]) -> Stamp | None:
-    """The stamp of a frame of image files: its name's or else when the first of them was last changed."""
+    """The stamp of a frame of image files: its name's or else when the first of them was last
+    changed.
+    """
     if (named := name_stamp(name)) is not None:
         return Stamp(named, "file name")
     for file in files:
@@ -34,7 +36,8 @@ def file_stamp(name: str, files: Iterable[Path]) -> Stamp | None:
 
 
 def stamp_table(folder: Path) -> Mapping[str, int]:
-    """Stamps [ns] by name of file, from the table that belongs to a folder of images; empty where there is none.
+    """Stamps [ns] by name of file, from the table that belongs to a folder of images; empty where
+    there is none.
 
     A row is a stamp in nanoseconds and a name; lines that begin with ``#`` are comments.
     """

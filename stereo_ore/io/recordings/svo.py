@@ -1,7 +1,8 @@
 """Recordings of ZED cameras (SVO2), read without Stereolabs' software.
 
-An SVO2 file is an MCAP container. Its channel ``Camera_SN<serial>/side_by_side`` has a message a frame: an access unit
-of H.264 or H.265 with both eyes beside each other, and a footer of 56 bytes behind it.
+An SVO2 file is an MCAP container. Its channel ``Camera_SN<serial>/side_by_side`` has a message a
+frame: an access unit of H.264 or H.265 with both eyes beside each other, and a footer of 56 bytes
+behind it.
 """
 
 from __future__ import annotations
@@ -29,15 +30,19 @@ from stereo_ore.types import StereoCalibration, StereoPair
 SVO1_MAGIC = b"\xf5\xff\xff\xff"
 CHANNEL = re.compile(r"(?:.*/)?Camera_SN(?P<serial>\d+)/side_by_side")
 FOOTER = struct.Struct("<iiIiiiQ24x")
-"""Width, height, magic, 1, 2, −1, time [ns]; then sizes and numbers of frames that are not needed here."""
+"""Width, height, magic, 1, 2, −1, time [ns]; then sizes and numbers of frames that are not needed
+here."""
 FOOTER_MAGIC = 0x5C002C00
 FACTORY_CALIBRATION = (
-    "SN{serial}.conf, from /usr/local/zed/settings where it was recorded or https://calib.stereolabs.com"
+    "SN{serial}.conf, from /usr/local/zed/settings where it was recorded or"
+    " https://calib.stereolabs.com"
 )
 
 
 class Unit(NamedTuple):
-    """One frame in the file: when it was recorded (its place), when it was taken [ns], whether decoding can begin."""
+    """One frame in the file: when it was recorded (its place), when it was taken [ns], whether
+    decoding can begin.
+    """
 
     logged_ns: int
     stamp_ns: int
@@ -69,8 +74,14 @@ class SvoFile:
         for channel in self.file.channels.values():
             if match := CHANNEL.fullmatch(channel.topic):
                 return channel.topic, match["serial"]
-        topics = ", ".join(sorted(channel.topic for channel in self.file.channels.values())) or "none"
-        raise SourceError(f"holds no images of both eyes; channels: {topics}", file=self.path, remedy="Record it again")
+        topics = (
+            ", ".join(sorted(channel.topic for channel in self.file.channels.values())) or "none"
+        )
+        raise SourceError(
+            f"holds no images of both eyes; channels: {topics}",
+            file=self.path,
+            remedy="Record it again",
+        )
 
     def units(self) -> tuple[Unit, ...]:
         """All frames, in the order in which they were recorded."""
@@ -91,7 +102,9 @@ class SvoFile:
                 start = units[index].logged_ns
                 for _, _, data in self.file.raw([topic], start, start + 1):
                     return data[: -FOOTER.size] if _stamp(data) else data
-                raise FrameError(f"has lost its frame at {start} ns", code="UNREADABLE_IMAGE", file=self.path)
+                raise FrameError(
+                    f"has lost its frame at {start} ns", code="UNREADABLE_IMAGE", file=self.path
+                )
 
             self._decoder = UnitDecoder(self.path, [each.key for each in units], unit)
         return self._decoder
@@ -107,7 +120,9 @@ def _stamp(data: bytes) -> int:
 
 @dataclass(frozen=True)
 class SvoFrames:
-    """Frames of an SVO2 file, named by stamp; `eye_size` (width, height) [px] is that of the calibration."""
+    """Frames of an SVO2 file, named by stamp; `eye_size` (width, height) [px] is that of the
+    calibration.
+    """
 
     path: Path
     names: tuple[str, ...]
@@ -125,7 +140,10 @@ class SvoFrames:
     @property
     def calibration(self) -> StereoCalibration | None:
         """None ever comes: the file holds none, and the error says where it is to be had."""
-        remedy = f"Give its factory calibration with --calib: {FACTORY_CALIBRATION.format(serial=self.serial)}"
+        remedy = (
+            "Give its factory calibration with --calib:"
+            f" {FACTORY_CALIBRATION.format(serial=self.serial)}"
+        )
         raise SourceError("carries no calibration", file=self.path, remedy=remedy)
 
     @property
@@ -165,7 +183,10 @@ def open_svo(path: Path) -> SvoFrames:
         raise SourceError(
             "is an SVO recording of version 1, which only Stereolabs' own software reads",
             file=path,
-            remedy=f"Export it where the ZED SDK is: ZED_SVO_Export {path.name} FOLDER 2; then run on the folder",
+            remedy=(
+                f"Export it where the ZED SDK is: ZED_SVO_Export {path.name} FOLDER 2; then run on"
+                " the folder"
+            ),
         )
     recording = SvoFile(path)
     _, serial = recording.channel()

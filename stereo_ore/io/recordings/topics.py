@@ -18,28 +18,40 @@ NUMBERED: tuple[tuple[str, str], ...] = (
     ("camera0", "camera1"),
     ("camera_0", "camera_1"),
 )
-"""Parts of topics that tell the eyes by numbers, in small letters: RealSense's drivers and recorders, camera rigs."""
+"""Parts of topics that tell the eyes by numbers, in small letters: RealSense's drivers and
+recorders, camera rigs."""
 
 
-def choose_topics(topics: Collection[str], wanted: tuple[str, str] | None, path: Path) -> tuple[str, str]:
-    """The left and the right image topic: those wanted, or the only two that differ in left and right alone.
+def choose_topics(
+    topics: Collection[str], wanted: tuple[str, str] | None, path: Path
+) -> tuple[str, str]:
+    """The left and the right image topic: those wanted, or the only two that differ in left and
+    right alone.
 
     Of an image that is there both plain and compressed, the plain one is taken.
 
     Raises
     ------
     SourceError
-        When a wanted topic is missing, or when no pair or more than one is there: the wrong one would be a guess.
+        When a wanted topic is missing, or when no pair or more than one is there: the wrong one
+        would be a guess.
     """
     listing = ", ".join(sorted(topics)) or "none"
     if wanted:
         if missing := [topic for topic in wanted if topic not in topics]:
             raise SourceError(
-                f"has no image topic {missing[0]}", file=path, key="topics", remedy=f"Image topics: {listing}"
+                f"has no image topic {missing[0]}",
+                file=path,
+                key="topics",
+                remedy=f"Image topics: {listing}",
             )
         return wanted
     pairs = _pairs([topic for topic in topics if not topic.endswith(DEPTH)])
-    pairs = [pair for pair in pairs if (_plain(pair[0]), _plain(pair[1])) not in pairs or _plain(pair[0]) == pair[0]]
+    pairs = [
+        pair
+        for pair in pairs
+        if (_plain(pair[0]), _plain(pair[1])) not in pairs or _plain(pair[0]) == pair[0]
+    ]
     if len(pairs) != 1:
         found = f"has {len(pairs)} pairs of left and right image topics"
         choices = " or ".join(f"--left-topic {left} --right-topic {right}" for left, right in pairs)
@@ -49,15 +61,21 @@ def choose_topics(topics: Collection[str], wanted: tuple[str, str] | None, path:
 
 
 def camera_info_topics(image_topic: str) -> tuple[str, ...]:
-    """Where the calibration of an image topic may be: beside it, beside the image that it is made of, in ``info``."""
+    """Where the calibration of an image topic may be: beside it, beside the image that it is made
+    of, in ``info``.
+    """
     parent = _plain(image_topic).rpartition("/")[0]
     above = parent.rpartition("/")[0]
     recorded = image_topic.partition("/image/data")[0] + "/info"
-    return tuple(f"{place}/camera_info" for place in (parent, above, recorded) if place.count("/") > 0)
+    return tuple(
+        f"{place}/camera_info" for place in (parent, above, recorded) if place.count("/") > 0
+    )
 
 
 def is_rectified(image_topic: str) -> bool:
-    """ROS's convention: image_rect, image_rect_color, rect/image against image_raw, image, image_mono."""
+    """ROS's convention: image_rect, image_rect_color, rect/image against image_raw, image,
+    image_mono.
+    """
     parts = _plain(image_topic).split("/")
     return "rect" in parts[-1] or "rect" in parts or "rectified" in parts
 
@@ -69,7 +87,11 @@ def _pairs(topics: Collection[str]) -> list[tuple[str, str]]:
         side = next((side for side, _ in marks if side), None)
         if side:
             sides[side][tuple(key for _, key in marks)] = topic
-    return [(topic, sides["right"][key]) for key, topic in sides["left"].items() if key in sides["right"]]
+    return [
+        (topic, sides["right"][key])
+        for key, topic in sides["left"].items()
+        if key in sides["right"]
+    ]
 
 
 def _split(part: str) -> tuple[str | None, str]:

@@ -1,4 +1,6 @@
-"""Videos, in any container that OpenCV opens: both eyes beside each other in each picture, or a video an eye."""
+"""Videos, in any container that OpenCV opens: both eyes beside each other in each picture, or a
+video an eye.
+"""
 
 from __future__ import annotations
 
@@ -38,9 +40,11 @@ VIDEO_SUFFIXES = (".avi", ".mkv", ".mov", ".mp4", ".m4v", ".mjpg", ".mjpeg", ".w
 
 
 class Decoder:
-    """Pictures of a video by number, as stored; opened when first used, and anew after it was sent elsewhere.
+    """Pictures of a video by number, as stored; opened when first used, and anew after it was sent
+    elsewhere.
 
-    Pictures are counted by decoding: containers seek by time, which finds another picture when the rate varies.
+    Pictures are counted by decoding: containers seek by time, which finds another picture when the
+    rate varies.
     """
 
     def __init__(self, path: Path) -> None:
@@ -58,7 +62,8 @@ class Decoder:
     def times_ms(self) -> tuple[float, ...]:
         """Times of all pictures that can be decoded [ms from the first].
 
-        What containers say of their number is not believed: some count by a rate, or what their edit list cuts off.
+        What containers say of their number is not believed: some count by a rate, or what their
+        edit list cuts off.
         """
         return overheard(self._times_ms)[0]
 
@@ -69,14 +74,18 @@ class Decoder:
     def size(self) -> tuple[int, int]:
         """Width and height that the container claims."""
         capture = overheard(self._open)[0]
-        return int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
+        return int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(
+            capture.get(cv2.CAP_PROP_FRAME_HEIGHT)
+        )
 
     def turn(self) -> int:
         """By how many degrees players are asked to turn the picture; it is not turned here."""
         return int(overheard(self._open)[0].get(cv2.CAP_PROP_ORIENTATION_META))
 
     def first_packet(self) -> bytes:
-        """The first picture as it was compressed, for H.264 and H.265 in Annex B form; empty where it can't be had."""
+        """The first picture as it was compressed, for H.264 and H.265 in Annex B form; empty where
+        it can't be had.
+        """
 
         def read() -> bytes:
             capture = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
@@ -152,7 +161,9 @@ class Track:
 
 @dataclass(frozen=True)
 class SideBySideVideo:
-    """Frames of one picture each, named by their number; `eye_size` (width, height) [px] is the calibration's."""
+    """Frames of one picture each, named by their number; `eye_size` (width, height) [px] is the
+    calibration's.
+    """
 
     path: Path
     names: tuple[str, ...]
@@ -182,14 +193,18 @@ class SideBySideVideo:
 
     def read(self, index: int) -> StereoPair:
         """Decode frame `index` and split it in the middle."""
-        left, right = split_in_two(self.track.picture(index, self.max_pixels), self.path, self.packing)
+        left, right = split_in_two(
+            self.track.picture(index, self.max_pixels), self.path, self.packing
+        )
         check_eye_size(left, self.eye_size, self.path)
         return make_pair(self, index, *to_8_bit(left, right))
 
 
 @dataclass(frozen=True)
 class VideoPairs:
-    """Frames of a picture from each of two videos: `entries` are numbers of two tracks and of their pictures."""
+    """Frames of a picture from each of two videos: `entries` are numbers of two tracks and of their
+    pictures.
+    """
 
     path: Path
     names: tuple[str, ...]
@@ -218,19 +233,24 @@ class VideoPairs:
         left, right = self.entries[index]
         if left is None or right is None:
             raise FrameError(
-                f"frame {self.names[index]} has no {'left' if left is None else 'right'} picture at its time",
+                f"frame {self.names[index]} has no {'left' if left is None else 'right'} picture at"
+                " its time",
                 code="UNPAIRED",
                 file=self.path,
                 remedy="Pictures of two videos that differ in number are paired by their time",
             )
         tracks = self.tracks[left[0]], self.tracks[right[0]]
-        one, other = (track.picture(i, self.max_pixels) for track, (_, i) in zip(tracks, (left, right), strict=True))
+        one, other = (
+            track.picture(i, self.max_pixels)
+            for track, (_, i) in zip(tracks, (left, right), strict=True)
+        )
         check_alike(one, other, tracks[0].decoder.path, tracks[1].decoder.path.name)
         return make_pair(self, index, *to_8_bit(one, other))
 
 
 def open_video(path: Path) -> SideBySideVideo:
-    """Open a side-by-side video. Which half is the left eye is what the container or the first picture says.
+    """Open a side-by-side video. Which half is the left eye is what the container or the first
+    picture says.
 
     Raises
     ------
@@ -242,8 +262,10 @@ def open_video(path: Path) -> SideBySideVideo:
         raise SourceError(
             f"has {said.video_tracks} video tracks, not one with both eyes beside each other",
             file=path,
-            remedy=f"Write a file an eye (ffmpeg -i {path.name} -map 0:v:0 -c copy left.mkv -map 0:v:1 -c copy "
-            "right.mkv), then give --left left.mkv --right right.mkv",
+            remedy=(
+                f"Write a file an eye (ffmpeg -i {path.name} -map 0:v:0 -c copy left.mkv -map 0:v:1"
+                " -c copy right.mkv), then give --left left.mkv --right right.mkv"
+            ),
         )
     track = _open_track(path, said)
     packing = said.packing or packing_of(track.decoder.first_packet()) or "left-right"
@@ -251,13 +273,16 @@ def open_video(path: Path) -> SideBySideVideo:
         check_packing(packing, path)
     except FrameError as fault:
         raise SourceError(fault.problem, file=path, remedy=fault.remedy) from None
-    return SideBySideVideo(path, tuple(f"{index:06d}" for index in range(len(track.times_ms))), track, packing)
+    return SideBySideVideo(
+        path, tuple(f"{index:06d}" for index in range(len(track.times_ms))), track, packing
+    )
 
 
 def open_video_pairs(path: Path, videos: Mapping[str, tuple[Path, Path]]) -> VideoPairs:
     """Open two videos, or several such pairs one after the other, by key.
 
-    Pictures belong together by their number where both videos have equally many, else by their time.
+    Pictures belong together by their number where both videos have equally many, else by their
+    time.
 
     Raises
     ------
@@ -272,18 +297,26 @@ def open_video_pairs(path: Path, videos: Mapping[str, tuple[Path, Path]]) -> Vid
         first = len(tracks)
         tracks += (left, right)
         for number, (i, j) in enumerate(_together(left.times_ms, right.times_ms)):
-            entries.append((None if i is None else (first, i), None if j is None else (first + 1, j)))
+            entries.append(
+                (None if i is None else (first, i), None if j is None else (first + 1, j))
+            )
             names.append(f"{number:06d}" if len(videos) == 1 else f"{key}_{number:06d}")
     return VideoPairs(path, frame_names(names), tuple(tracks), tuple(entries))
 
 
-def _together(left_ms: Sequence[float], right_ms: Sequence[float]) -> list[tuple[int | None, int | None]]:
+def _together(
+    left_ms: Sequence[float], right_ms: Sequence[float]
+) -> list[tuple[int | None, int | None]]:
     if len(left_ms) == len(right_ms):
         return [(index, index) for index in range(len(left_ms))]
     gaps = np.diff(left_ms if len(left_ms) > 1 else right_ms)
-    log.warning("the videos have %d and %d pictures: paired by their times", len(left_ms), len(right_ms))
+    log.warning(
+        "the videos have %d and %d pictures: paired by their times", len(left_ms), len(right_ms)
+    )
     most_ns = round(5e5 * float(np.median(gaps))) if len(gaps) else 0
-    return pair_by_stamp([round(1e6 * ms) for ms in left_ms], [round(1e6 * ms) for ms in right_ms], most_ns)
+    return pair_by_stamp(
+        [round(1e6 * ms) for ms in left_ms], [round(1e6 * ms) for ms in right_ms], most_ns
+    )
 
 
 def _open_track(path: Path, said: Container) -> Track:
@@ -292,12 +325,23 @@ def _open_track(path: Path, said: Container) -> Track:
     claim, times_ms = decoder.claim(), decoder.times_ms()
     if not times_ms:
         raise SourceError(
-            "can't be decoded as a video", file=path, remedy="Export it as side-by-side AVI, or as a folder of images"
+            "can't be decoded as a video",
+            file=path,
+            remedy="Export it as side-by-side AVI, or as a folder of images",
         )
     if 0 < claim != len(times_ms):
-        log.info("%s: the container claims %d pictures, %d can be decoded", path.name, claim, len(times_ms))
+        log.info(
+            "%s: the container claims %d pictures, %d can be decoded",
+            path.name,
+            claim,
+            len(times_ms),
+        )
     if turn := decoder.turn():
-        log.info("%s asks players to turn the picture by %d°; pixels are taken as stored", path.name, turn)
+        log.info(
+            "%s asks players to turn the picture by %d°; pixels are taken as stored",
+            path.name,
+            turn,
+        )
     if said.began_ns is not None:
         return Track(decoder, times_ms, said.began_ns, "container")
     ended_ns = path.stat().st_mtime_ns  # a recorder's last write is near its last picture

@@ -1,4 +1,6 @@
-"""Clouds without one outlier, and scans with planted ones: what a filter must keep, and what it must still find."""
+"""Clouds without one outlier, and scans with planted ones: what a filter must keep, and what it
+must still find.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +19,16 @@ from stereo_ore.types import F64
 POINTS = 9000
 CROP = 10_000
 GAP = 0.5
-"""Mean distance to the nearest neighbour of points at random, one to a unit of area: roughness is a share of it."""
+"""Mean distance to the nearest neighbour of points at random, one to a unit of area: roughness is a
+share of it."""
 
-OTHER_KINDS = (("clumps", 0.05), ("clumps", 0.15), ("flyers", 0.03), ("flyers", 0.15), ("dust", 0.05))
+OTHER_KINDS = (
+    ("clumps", 0.05),
+    ("clumps", 0.15),
+    ("flyers", 0.03),
+    ("flyers", 0.15),
+    ("dust", 0.05),
+)
 """Planted besides the paper's."""
 
 Rng = np.random.Generator
@@ -35,7 +44,9 @@ def read_scans(folder: Path) -> list[tuple[str, F64]]:
     """
     files = sorted(path for path in folder.iterdir() if path.suffix.lower() in clouds.FORMATS)
     if not files:
-        raise SourceError("holds no cloud", file=folder, remedy=f"Give a folder with {', '.join(clouds.FORMATS)}")
+        raise SourceError(
+            "holds no cloud", file=folder, remedy=f"Give a folder with {', '.join(clouds.FORMATS)}"
+        )
     return [(path.stem, scan(path)) for path in files]
 
 
@@ -47,7 +58,9 @@ def scan(path: Path) -> F64:
 
 
 def clean_clouds(seeds: range, scans: Sequence[tuple[str, F64]]) -> Iterator[LabelledCloud]:
-    """Made surfaces of `CLEAN`, and scans: as they are, a quarter of their points, two noisy ones merged."""
+    """Made surfaces of `CLEAN`, and scans: as they are, a quarter of their points, two noisy ones
+    merged.
+    """
     for seed in seeds:
         for name, make in CLEAN.items():
             yield _clean(name, make(np.random.default_rng([seed, 2])))
@@ -57,36 +70,51 @@ def clean_clouds(seeds: range, scans: Sequence[tuple[str, F64]]) -> Iterator[Lab
             yield _clean(f"{name}, a quarter", xyz[rng.random(len(xyz)) < 0.25])
             twice = crop(rng, xyz, 2 * CROP)
             noise = 0.3 * spacing(twice)
-            yield _clean(f"{name}, merged", np.vstack([twice + rng.normal(0, noise, twice.shape) for _ in range(2)]))
+            yield _clean(
+                f"{name}, merged",
+                np.vstack([twice + rng.normal(0, noise, twice.shape) for _ in range(2)]),
+            )
 
 
 def planted_clouds(seeds: range, scans: Sequence[tuple[str, F64]]) -> Iterator[LabelledCloud]:
-    """Crops of scans with the paper's outliers, at its three shares, and with outliers of `OTHER_KINDS`."""
+    """Crops of scans with the paper's outliers, at its three shares, and with outliers of
+    `OTHER_KINDS`.
+    """
     for seed in seeds:
         for name, xyz in scans:
             rng = np.random.default_rng([seed, 4])
             for share in NOISE_SHARES:
                 for direction in DIRECTIONS:
-                    yield _planted(f"{name}, paper's, {100 * share:.1f} %", rng, xyz, share, direction)
+                    yield _planted(
+                        f"{name}, paper's, {100 * share:.1f} %", rng, xyz, share, direction
+                    )
             for kind, share in OTHER_KINDS:
                 yield _planted(f"{name}, {kind}, {100 * share:.0f} %", rng, xyz, share, kind)
 
 
 def _clean(cell: str, xyz: F64) -> LabelledCloud:
-    return LabelledCloud(cell, cell, bare_cloud(xyz - np.median(xyz, axis=0)), np.zeros(len(xyz), bool))
+    return LabelledCloud(
+        cell, cell, bare_cloud(xyz - np.median(xyz, axis=0)), np.zeros(len(xyz), bool)
+    )
 
 
 def _planted(cell: str, rng: Rng, xyz: F64, share: float, kind: str) -> LabelledCloud:
     points, noise = plant(rng, crop(rng, xyz, CROP), share, kind)
-    return LabelledCloud(f"{cell}, {kind}", cell, bare_cloud(points - np.median(points, axis=0)), noise)
+    return LabelledCloud(
+        f"{cell}, {kind}", cell, bare_cloud(points - np.median(points, axis=0)), noise
+    )
 
 
 def _rough(rng: Rng, roughness: float, regular: bool = False) -> F64:
-    """A bent surface, at random or on a grid, with normal noise along the normal, in point distances."""
+    """A bent surface, at random or on a grid, with normal noise along the normal, in point
+    distances.
+    """
     side = int(np.sqrt(POINTS))
     grid = np.indices((side, side)).reshape(2, -1).T.astype(float)
     xy = grid if regular else rng.uniform(0, side, (POINTS, 2))
-    xyz = np.column_stack([xy, 0.06 * side * np.sin(5 * xy[:, 0] / side) * np.cos(4 * xy[:, 1] / side)])
+    xyz = np.column_stack(
+        [xy, 0.06 * side * np.sin(5 * xy[:, 0] / side) * np.cos(4 * xy[:, 1] / side)]
+    )
     amount = roughness * (1 if regular else GAP)
     return np.asarray(xyz + normals(xyz) * rng.normal(0, amount, (len(xyz), 1)))
 
@@ -98,7 +126,9 @@ def _unit(rng: Rng, count: int) -> F64:
 
 def _torus(rng: Rng) -> F64:
     """Ten times as dense on one side as on the other."""
-    around = 2 * np.pi * np.where(rng.random(POINTS) < 0.1, rng.random(POINTS), 0.5 * rng.random(POINTS))
+    around = (
+        2 * np.pi * np.where(rng.random(POINTS) < 0.1, rng.random(POINTS), 0.5 * rng.random(POINTS))
+    )
     tube = rng.uniform(0, 2 * np.pi, POINTS)
     ring = 40 + 12 * np.cos(tube)
     return np.column_stack([ring * np.cos(around), ring * np.sin(around), 12 * np.sin(tube)])
@@ -107,7 +137,9 @@ def _torus(rng: Rng) -> F64:
 def _cylinder(rng: Rng) -> F64:
     """Standing on a floor."""
     turn, side = rng.uniform(0, 2 * np.pi, POINTS // 3), np.sqrt(POINTS)
-    standing = np.column_stack([12 * np.cos(turn), 12 * np.sin(turn), rng.uniform(0, 30, len(turn))])
+    standing = np.column_stack(
+        [12 * np.cos(turn), 12 * np.sin(turn), rng.uniform(0, 30, len(turn))]
+    )
     floor = np.column_stack([rng.uniform(-side / 2, side / 2, (POINTS, 2)), np.zeros(POINTS)])
     return np.vstack([standing, floor])
 
@@ -127,12 +159,16 @@ def _patches(rng: Rng) -> F64:
 
 def _ribbon(rng: Rng) -> F64:
     turn = rng.uniform(0, 6, POINTS)
-    return np.column_stack([20 * np.cos(turn), 20 * np.sin(turn), 5 * turn + rng.uniform(0, 4, POINTS)])
+    return np.column_stack(
+        [20 * np.cos(turn), 20 * np.sin(turn), 5 * turn + rng.uniform(0, 4, POINTS)]
+    )
 
 
 def _corner(rng: Rng) -> F64:
     """Three walls."""
-    return np.vstack([np.insert(rng.uniform(0, 55, (POINTS // 3, 2)), axis, 0, axis=1) for axis in range(3)])
+    return np.vstack(
+        [np.insert(rng.uniform(0, 55, (POINTS // 3, 2)), axis, 0, axis=1) for axis in range(3)]
+    )
 
 
 def _growing(rng: Rng) -> F64:

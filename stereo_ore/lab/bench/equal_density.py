@@ -1,4 +1,6 @@
-"""Matchers compared at one density: whoever gives fewer disparities errs less, which says nothing by itself."""
+"""Matchers compared at one density: whoever gives fewer disparities errs less, which says nothing
+by itself.
+"""
 
 from __future__ import annotations
 
@@ -24,8 +26,8 @@ POINTS = 200
 class Compared:
     """A peer at one setting on one set, beside the program.
 
-    `peer` and `program` are (bad-1, bad-2) at the lesser of both densities; `rms_ratio` is the program's RMS over the
-    peer's on common pixels.
+    `peer` and `program` are (bad-1, bad-2) at the lesser of both densities; `rms_ratio` is the
+    program's RMS over the peer's on common pixels.
     """
 
     set: str
@@ -39,7 +41,9 @@ class Compared:
 
 @dataclass(frozen=True)
 class Verdict:
-    """A peer at its best setting for one measure: mean difference in points, sets won, and the sets."""
+    """A peer at its best setting for one measure: mean difference in points, sets won, and the
+    sets.
+    """
 
     peer: str
     measure: str
@@ -50,9 +54,15 @@ class Verdict:
 
 
 def quality(error: F32) -> Point:
-    """The point of signed errors of all pixels, NaN where a disparity is missing; unknown truth is left out before."""
+    """The point of signed errors of all pixels, NaN where a disparity is missing; unknown truth is
+    left out before.
+    """
     size = np.abs(error)
-    return float(np.isfinite(size).mean()), float((~(size <= 1)).mean()), float((~(size <= 2)).mean())
+    return (
+        float(np.isfinite(size).mean()),
+        float((~(size <= 1)).mean()),
+        float((~(size <= 2)).mean()),
+    )
 
 
 def points_by_confidence(values: F32, confidence: F32, truth: F32) -> list[Point]:
@@ -61,7 +71,8 @@ def points_by_confidence(values: F32, confidence: F32, truth: F32) -> list[Point
     Parameters
     ----------
     values, confidence, truth : (H, W) float32
-        Disparities [px] and truth [px], NaN where there is none; any confidence where there is a disparity.
+        Disparities [px] and truth [px], NaN where there is none; any confidence where there is a
+        disparity.
     """
     known = np.isfinite(truth)
     error, sure = np.abs(values - truth)[known], confidence[known]
@@ -73,11 +84,16 @@ def points_by_confidence(values: F32, confidence: F32, truth: F32) -> list[Point
     last = np.flatnonzero(np.append(np.diff(sure) != 0, True))
     last = last[np.unique(np.linspace(0, len(last) - 1, min(POINTS, len(last))).astype(int))]
     right = [np.cumsum(ordered <= limit)[last] for limit in (1, 2)]
-    return [((i + 1) / total, 1 - a / total, 1 - b / total) for i, a, b in zip(last, *right, strict=True)]
+    return [
+        ((i + 1) / total, 1 - a / total, 1 - b / total)
+        for i, a, b in zip(last, *right, strict=True)
+    ]
 
 
 def read_at(curve: Sequence[Point], density: float) -> tuple[float, float]:
-    """Bad-1 and bad-2 of a curve at a density; below its sparsest point the line ends in nothing found."""
+    """Bad-1 and bad-2 of a curve at a density; below its sparsest point the line ends in nothing
+    found.
+    """
     x, one, two = zip(*sorted([(0.0, 1.0, 1.0), *curve]), strict=True)
     return float(np.interp(density, x, one)), float(np.interp(density, x, two))
 
@@ -86,11 +102,17 @@ def rms_ratio(ours: F32, peers: F32, truth: F32) -> float:
     """RMS of our errors over that of the peer's, where both are within `NEAR_PX` of the truth."""
     a, b = ours - truth, peers - truth
     both = (np.abs(a) < NEAR_PX) & (np.abs(b) < NEAR_PX)
-    return float(np.sqrt(np.mean(a[both] ** 2) / np.mean(b[both] ** 2))) if both.any() else float("nan")
+    return (
+        float(np.sqrt(np.mean(a[both] ** 2) / np.mean(b[both] ** 2)))
+        if both.any()
+        else float("nan")
+    )
 
 
 def verdicts(rows: Sequence[Compared]) -> list[Verdict]:
-    """Each peer at the one setting that is best for it on the mean of all sets, for bad-1 and for bad-2."""
+    """Each peer at the one setting that is best for it on the mean of all sets, for bad-1 and for
+    bad-2.
+    """
     by: dict[tuple[str, str], list[Compared]] = {}
     for row in rows:
         by.setdefault((row.peer, row.setting), []).append(row)
@@ -107,16 +129,30 @@ def _of(by: Mapping[tuple[str, str], list[Compared]], peer: str, index: int) -> 
         if name == peer:
             each = [100 * (row.program[index] - row.peers[index]) for row in sets]
             won = sum(value < 0 for value in each)
-            found.append(Verdict(peer, f"bad-{index + 1}", setting, float(np.mean(each)), won, sets))
+            found.append(
+                Verdict(peer, f"bad-{index + 1}", setting, float(np.mean(each)), won, sets)
+            )
     return found
 
 
 def markdown(rows: Sequence[Compared]) -> str:
     """The peers at their best, then set by set."""
     found = verdicts(rows)
-    head = ["peer at its best", "measure", "program − peer, points", "sets won", "RMS ratio, mean (worst)"]
+    head = [
+        "peer at its best",
+        "measure",
+        "program − peer, points",
+        "sets won",
+        "RMS ratio, mean (worst)",
+    ]
     cells = [
-        [f"{v.peer} ({v.setting})", v.measure, f"{v.difference:+.2f}", f"{v.won} of {len(v.sets)}", _rms(v.sets)]
+        [
+            f"{v.peer} ({v.setting})",
+            v.measure,
+            f"{v.difference:+.2f}",
+            f"{v.won} of {len(v.sets)}",
+            _rms(v.sets),
+        ]
         for v in found
     ]
     sets = ["set", "density %", *(f"{v.peer} {v.measure}" for v in found)]

@@ -34,7 +34,9 @@ def _sampled(image: U8, du: F32 | float, dv: F32 | float = 0.0) -> U8:
 
 
 def slipped_band(shift_px: int) -> Edit:
-    """A band of a fifth of the right eye's rows comes some columns late: lost bytes of a line buffer."""
+    """A band of a fifth of the right eye's rows comes some columns late: lost bytes of a line
+    buffer.
+    """
 
     def edit(planted: Planted, left: U8, right: U8, rng: np.random.Generator) -> Eyes:
         height = right.shape[0]
@@ -132,7 +134,9 @@ def flakes(count: int, size_m: float) -> Edit:
     return edit
 
 
-def _with_flakes(planted: Planted, left: U8, right: U8, rng: np.random.Generator, count: int, size_m: float) -> Eyes:
+def _with_flakes(
+    planted: Planted, left: U8, right: U8, rng: np.random.Generator, count: int, size_m: float
+) -> Eyes:
     rig, plane = planted.rig, planted.case.site.plane
     assert plane is not None, "the plane is known"
     eyes = (left.copy(), right.copy())
@@ -142,7 +146,9 @@ def _with_flakes(planted: Planted, left: U8, right: U8, rng: np.random.Generator
     for k in np.argsort(-z):
         for eye, shift in zip(eyes, (0.0, float(rig.disparity(z[k]))), strict=True):
             middle = (round(16 * (u[k] - shift)), round(16 * v[k]))
-            cv2.circle(eye, middle, max(round(16 * size[k]), 8), (FLAKE_GREY,) * 3, -1, cv2.LINE_AA, 4)
+            cv2.circle(
+                eye, middle, max(round(16 * size[k]), 8), (FLAKE_GREY,) * 3, -1, cv2.LINE_AA, 4
+            )
     return eyes
 
 
@@ -158,4 +164,5 @@ EDITS: dict[str, Edit] = {
     "120 large flakes": flakes(120, 0.06),
     "600 flakes": flakes(600, 0.02),
 }
-"""Edits of the last of two frames; for raw images not of their geometry, but of what a sensor gives."""
+"""Edits of the last of two frames; for raw images not of their geometry, but of what a sensor
+gives."""

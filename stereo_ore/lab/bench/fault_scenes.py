@@ -1,4 +1,6 @@
-"""Scenes that faults are planted in, made up or from a folder with truth, and what is wrong with a target in them."""
+"""Scenes that faults are planted in, made up or from a folder with truth, and what is wrong with a
+target in them.
+"""
 
 from __future__ import annotations
 
@@ -37,10 +39,11 @@ class Case:
 
 @dataclass(frozen=True)
 class Planted:
-    """A scene as it is: the sound case, its geometry, the pixels of lumps, and where they truly are.
+    """A scene as it is: the sound case, its geometry, the pixels of lumps, and where they truly
+    are.
 
-    `lumps` finds the nearest of their visible true points in the arm's frame [m]; `depth_m` (H, W) is NaN where nothing
-    is known.
+    `lumps` finds the nearest of their visible true points in the arm's frame [m]; `depth_m` (H, W)
+    is NaN where nothing is known.
     """
 
     name: str
@@ -67,7 +70,8 @@ def made(scene: synth.Scene) -> Planted:
 
 
 def traced(folder: Path) -> Planted:
-    """A folder with left.png, right.png and the truth of its left view; the arm's frame is the camera's.
+    """A folder with left.png, right.png and the truth of its left view; the arm's frame is the
+    camera's.
 
     Raises
     ------
@@ -78,7 +82,9 @@ def traced(folder: Path) -> Planted:
     truth = load_truth(folder)
     pair = replace(open_source(folder).read(0), name=folder.name)
     case = Case((pair,), calibration, replace(site, T_arm_camera=np.eye(4)))
-    return _planted(folder.name, case, np.where(truth.depth > 0, truth.depth, np.nan), truth.instance)
+    return _planted(
+        folder.name, case, np.where(truth.depth > 0, truth.depth, np.nan), truth.instance
+    )
 
 
 def _planted(name: str, case: Case, depth_m: F64, instance: Any) -> Planted:

@@ -22,7 +22,9 @@ Fault = Callable[[Case], Case]
 def _images(change: Callable[[U8, U8], tuple[U8, U8]]) -> Fault:
     def plant(case: Case) -> Case:
         left, right = change(case.frames[-1].left, case.frames[-1].right)
-        pair = replace(case.frames[-1], left=np.ascontiguousarray(left), right=np.ascontiguousarray(right))
+        pair = replace(
+            case.frames[-1], left=np.ascontiguousarray(left), right=np.ascontiguousarray(right)
+        )
         return replace(case, frames=(pair,))
 
     return plant
@@ -76,7 +78,9 @@ def _columns(shift_px: float) -> Fault:
 
 
 def _bumped(turn_deg: tuple[float, float, float], raised: float = 0.0) -> Fault:
-    """The camera was turned about its axes, and raised by a share of its height; the site is that of the old pose."""
+    """The camera was turned about its axes, and raised by a share of its height; the site is that
+    of the old pose.
+    """
 
     def bump(case: Case) -> Case:
         plane = case.site.plane
@@ -90,18 +94,24 @@ def _bumped(turn_deg: tuple[float, float, float], raised: float = 0.0) -> Fault:
 
 
 def moved(site: Site, T_old_new: F64) -> Site:
-    """The site as it is taken to be in the frame of a camera that has moved since: X_old = T_old_new · X_new."""
+    """The site as it is taken to be in the frame of a camera that has moved since: X_old =
+    T_old_new · X_new.
+    """
     plane, volume, T = site.plane, site.volume, site.T_arm_camera
     if plane is not None:
         offset = plane.offset - float(plane.normal @ T_old_new[:3, 3])
         plane = Plane(T_old_new[:3, :3].T @ plane.normal, offset)
     if volume is not None:
         volume = replace(volume, T_box_camera=volume.T_box_camera @ T_old_new)
-    return replace(site, plane=plane, volume=volume, T_arm_camera=None if T is None else T @ T_old_new)
+    return replace(
+        site, plane=plane, volume=volume, T_arm_camera=None if T is None else T @ T_old_new
+    )
 
 
 def _yawed(angle_deg: float) -> Fault:
-    """The right eye turned about its vertical axis: its image is warped by the homography of this rotation."""
+    """The right eye turned about its vertical axis: its image is warped by the homography of this
+    rotation.
+    """
 
     def yawed(case: Case) -> Case:
         c, pair = case.calibration, case.frames[-1]
@@ -147,7 +157,10 @@ FAULTS: dict[str, Fault] = {
 """Faults of a scene with rectified images."""
 
 SMALL_FAULTS: dict[str, Fault] = {
-    **{f"baseline {100 * b:+.1f} %": _baseline(1 + b) for b in (-0.02, -0.01, -0.005, 0.005, 0.01, 0.02)},
+    **{
+        f"baseline {100 * b:+.1f} %": _baseline(1 + b)
+        for b in (-0.02, -0.01, -0.005, 0.005, 0.01, 0.02)
+    },
     **{f"focal length {100 * f:+.0f} %": _scaled_focal(1 + f) for f in (-0.02, 0.02)},
     **{f"disparity offset {d:+.1f} px": _offset(d) for d in (-0.4, 0.2, 0.4)},
     **{f"right column {d:+.1f} px": _right_column(d) for d in (-0.3, 0.3)},
@@ -166,7 +179,8 @@ RAW_FAULTS: dict[str, Fault] = {
     "rotation transposed": _rotation(lambda v: -v),
     "convergence (CV) off by 0.4°": _rotation(lambda v: v + np.radians([0, 0.4, 0])),
     "lenses exchanged": _calibration(lambda c: replace(c, left=c.right, right=c.left)),
-    "taken for rectified": _calibration(lambda c: replace(c, images="rectified", R_right_left=np.eye(3),
+    "taken for rectified": _calibration(lambda c: replace(c, images="rectified",
+    R_right_left=np.eye(3),
         left=replace(c.left, distortion=()), right=replace(c.left, distortion=()))),
 }  # fmt: skip
 """Misreadings of the calibration of raw images."""

@@ -1,4 +1,6 @@
-"""Faults planted in scenes with truth: what the record says, and whether a wrong target is left for an arm."""
+"""Faults planted in scenes with truth: what the record says, and whether a wrong target is left for
+an arm.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ SOUND = "none"
 
 @dataclass
 class Row:
-    """What became of a fault over all scenes; `wrong` are targets on no lump, `wrong_ok_frames` the frames with any."""
+    """What became of a fault over all scenes; `wrong` are targets on no lump, `wrong_ok_frames` the
+    frames with any.
+    """
 
     fault: str
     frames: int = 0
@@ -69,7 +73,9 @@ def judge(case: Case, config: Config) -> Json | None:
     return record
 
 
-def plant(planted: Planted, config: Config, only: str = "", seed: int = 0) -> Iterator[tuple[str, Json | None]]:
+def plant(
+    planted: Planted, config: Config, only: str = "", seed: int = 0
+) -> Iterator[tuple[str, Json | None]]:
     """Each fault whose name `only` is found in, with the record that comes of it in a scene."""
     for name, case in _cases(planted, seed):
         if re.search(only, name):
@@ -91,11 +97,26 @@ def _cases(planted: Planted, seed: int) -> Iterator[tuple[str, Callable[[], Case
 def markdown(rows: Sequence[Row]) -> str:
     """A line a fault."""
     statuses = ("ok", "degraded", "empty", "failed", "refused")
-    heads = ("fault", "frames", *statuses, "frames with targets", "targets", "wrong", "wrong_ok_frames", "told by")
+    heads = (
+        "fault",
+        "frames",
+        *statuses,
+        "frames with targets",
+        "targets",
+        "wrong",
+        "wrong_ok_frames",
+        "told by",
+    )
     lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
     for row in rows:
         told = ", ".join(f"{code} {times}" for code, times in row.codes.most_common())
         counts = (row.with_targets, row.targets, row.wrong, row.wrong_ok_frames)
-        cells = (row.fault, row.frames, *(row.statuses[name] or "" for name in statuses), *counts, told)
+        cells = (
+            row.fault,
+            row.frames,
+            *(row.statuses[name] or "" for name in statuses),
+            *counts,
+            told,
+        )
         lines.append("| " + " | ".join(map(str, cells)) + " |")
     return "\n".join(lines) + "\n"

@@ -1,4 +1,6 @@
-"""`bench filter`: quality of all filters on labelled clouds, and time against Open3D's simplest filter."""
+"""`bench filter`: quality of all filters on labelled clouds, and time against Open3D's simplest
+filter.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +18,15 @@ from stereo_ore.stages import filters
 from stereo_ore.types import VoxelCloud
 
 SHIPPED = ("radius", "statistical", "lof", "paper", "paper-tuned", "closed-form", "adaptive")
-"""Judged on clean clouds with their default parameters: there is no best of a grid where nothing is to be found."""
+"""Judged on clean clouds with their default parameters: there is no best of a grid where nothing is
+to be found."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """One filter on one cloud; shares are 0…1. `noise_left` is among the kept; `bars_kept` of the bars' good points."""
+    """One filter on one cloud; shares are 0…1. `noise_left` is among the kept; `bars_kept` of the
+    bars' good points.
+    """
 
     cloud: str
     cell: str
@@ -53,19 +58,28 @@ def judge(labelled: LabelledCloud, contender: Contender) -> Row:
     )  # fmt: skip
 
 
-def judge_all(clouds: Iterable[LabelledCloud], contenders: Sequence[Contender] = CONTENDERS) -> list[Row]:
+def judge_all(
+    clouds: Iterable[LabelledCloud], contenders: Sequence[Contender] = CONTENDERS
+) -> list[Row]:
     """Every contender on every cloud."""
     return [judge(labelled, contender) for labelled in clouds for contender in contenders]
 
 
 def judge_clean(clouds: Iterable[LabelledCloud]) -> list[dict[str, Any]]:
-    """Share of each clean cloud that each filter removes as shipped; means over clouds of one cell."""
+    """Share of each clean cloud that each filter removes as shipped; means over clouds of one
+    cell.
+    """
     found: dict[str, list[dict[str, float]]] = {}
     for labelled in clouds:
-        kept = {name: filters.apply(labelled.voxels, FilterConfig(method=name)).keep for name in SHIPPED}
-        found.setdefault(labelled.cell, []).append({name: 1 - float(mask.mean()) for name, mask in kept.items()})
+        kept = {
+            name: filters.apply(labelled.voxels, FilterConfig(method=name)).keep for name in SHIPPED
+        }
+        found.setdefault(labelled.cell, []).append(
+            {name: 1 - float(mask.mean()) for name, mask in kept.items()}
+        )
     return [
-        {"cell": cell, **{m: float(np.mean([r[m] for r in rows])) for m in SHIPPED}} for cell, rows in found.items()
+        {"cell": cell, **{m: float(np.mean([r[m] for r in rows])) for m in SHIPPED}}
+        for cell, rows in found.items()
     ]
 
 
@@ -77,7 +91,15 @@ def means(rows: Sequence[Row]) -> list[dict[str, Any]]:
 
 def _mean(rows: Sequence[Row]) -> dict[str, Any]:
     out: dict[str, Any] = {"cell": rows[0].cell, "filter": rows[0].filter, "clouds": len(rows)}
-    for name in ("noise_share", "precision", "recall", "retention", "f1", "noise_left", "bars_kept"):
+    for name in (
+        "noise_share",
+        "precision",
+        "recall",
+        "retention",
+        "f1",
+        "noise_left",
+        "bars_kept",
+    ):
         values = [value for row in rows if (value := asdict(row)[name]) is not None]
         out[name] = float(np.mean(values)) if values else None
     return out
@@ -89,7 +111,10 @@ def summary(cells: Sequence[dict[str, Any]]) -> dict[str, Any]:
     f1 = {name: float(np.mean([c["f1"] for c in cells if c["filter"] == name])) for name in names}
     tuned = {contender.label for contender in CONTENDERS if contender.tuned}
     by_cell = list(dict.fromkeys(cell["cell"] for cell in cells))
-    best = [max(c["f1"] for c in cells if c["cell"] == name and c["filter"] in tuned) for name in by_cell]
+    best = [
+        max(c["f1"] for c in cells if c["cell"] == name and c["filter"] in tuned)
+        for name in by_cell
+    ]
     return {"f1": f1, "best_tuned_baseline_f1": float(np.mean(best))}
 
 
@@ -98,18 +123,26 @@ def large_cloud(points: int = 1_000_000) -> VoxelCloud:
     rng = np.random.default_rng(0)
     xy = rng.uniform(0, 1, (points, 2))
     z = 0.03 * np.sin(9 * xy[:, 0]) * np.cos(7 * xy[:, 1]) + rng.normal(0, 2e-4, points)
-    return bare_cloud(np.column_stack([xy, z + np.where(rng.random(points) < 0.02, rng.normal(0, 0.01, points), 0)]))
+    return bare_cloud(
+        np.column_stack(
+            [xy, z + np.where(rng.random(points) < 0.02, rng.normal(0, 0.01, points), 0)]
+        )
+    )
 
 
 def speed(voxels: VoxelCloud, k: int = 16, repeats: int = 7) -> dict[str, float]:
-    """Best of some runs in milliseconds, taken in turn with Open3D's statistical filter of the same K."""
+    """Best of some runs in milliseconds, taken in turn with Open3D's statistical filter of the same
+    K.
+    """
     import open3d as o3d
 
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(voxels.xyz.astype(float)))
     tasks: dict[str, Callable[[], object]] = {
         "open3d_statistical": lambda: cloud.remove_statistical_outlier(k, 1.0),
         "adaptive": lambda: filters.apply(voxels, FilterConfig(params={"k": k})),
-        "paper": lambda: filters.apply(voxels, FilterConfig(method="paper", params={"k0": k, "k_max": k})),
+        "paper": lambda: filters.apply(
+            voxels, FilterConfig(method="paper", params={"k0": k, "k_max": k})
+        ),
     }
     best = dict.fromkeys(tasks, float("inf"))
     for _ in range(repeats):

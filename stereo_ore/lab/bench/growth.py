@@ -1,4 +1,6 @@
-"""How the filter's time and memory grow with the number of points, beside the filters of Open3D and scikit-learn."""
+"""How the filter's time and memory grow with the number of points, beside the filters of Open3D and
+scikit-learn.
+"""
 
 from __future__ import annotations
 
@@ -42,24 +44,32 @@ class GrowthRow:
 
 
 def rough_surface(points: int, seed: int = 0) -> F32:
-    """A wavy surface of about one point a square millimetre with noise off it, (points, 3) [m], in random order."""
+    """A wavy surface of about one point a square millimetre with noise off it, (points, 3) [m], in
+    random order.
+    """
     rng = np.random.default_rng(seed)
     side = SPACING_M * np.sqrt(points)
     xyz = rng.uniform(0, side, (points, 3))
-    xyz[:, 2] = 0.05 * np.sin(xyz[:, 0] / 0.05) * np.cos(xyz[:, 1] / 0.07) + rng.normal(0, 0.0003, points)
+    xyz[:, 2] = 0.05 * np.sin(xyz[:, 0] / 0.05) * np.cos(xyz[:, 1] / 0.07) + rng.normal(
+        0, 0.0003, points
+    )
     noise = rng.random(points) < NOISE_SHARE
     xyz[noise] += rng.normal(0, 0.008, (int(noise.sum()), 3))
     return xyz.astype(np.float32)
 
 
 def measure(sizes: Sequence[int], limit_s: float) -> list[GrowthRow]:
-    """All filters at all sizes; a filter whose next size would take longer than `limit_s` is left out from there on."""
+    """All filters at all sizes; a filter whose next size would take longer than `limit_s` is left
+    out from there on.
+    """
     rows: list[GrowthRow] = []
     last: dict[str, tuple[int, float]] = {}
     for points in sizes:
         names = [name for name in FILTERS if not _too_long(last.get(name), points, limit_s, name)]
         found = _in_own_process(points, names)
-        last |= {row.filter: (points, row.seconds) for row in found.values() if row.seconds is not None}
+        last |= {
+            row.filter: (points, row.seconds) for row in found.values() if row.seconds is not None
+        }
         rows += [found.get(name, GrowthRow(name, points, None, None)) for name in FILTERS]
     return rows
 
@@ -82,14 +92,19 @@ def _in_own_process(points: int, names: Sequence[str]) -> dict[str, GrowthRow]:
 
 
 def _measure(points: int, names: Sequence[str]) -> dict[str, GrowthRow]:
-    """Filters in turn, so that a busy machine slows all alike; clouds of a million points and more only once."""
+    """Filters in turn, so that a busy machine slows all alike; clouds of a million points and more
+    only once.
+    """
     xyz = rough_surface(points)
     tasks = {name: FILTERS[name](xyz) for name in names}
     runs: dict[str, list[tuple[float, float | None]]] = {name: [] for name in names}
     for _ in range(ROUNDS if points < ONCE_FROM else 1):
         for name, task in tasks.items():
             runs[name].append(_cost(task))
-    return {name: GrowthRow(name, points, float(np.median([s for s, _ in r])), r[0][1]) for name, r in runs.items()}
+    return {
+        name: GrowthRow(name, points, float(np.median([s for s, _ in r])), r[0][1])
+        for name, r in runs.items()
+    }
 
 
 def _cost(task: Callable[[], object]) -> tuple[float, float | None]:

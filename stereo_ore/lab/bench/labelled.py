@@ -1,4 +1,6 @@
-"""Clouds whose noise is known: the published experiment's, and stereo clouds of scenes with true depth."""
+"""Clouds whose noise is known: the published experiment's, and stereo clouds of scenes with true
+depth.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,16 @@ from stereo_ore.io import clouds, recordings
 from stereo_ore.lab import evaluate, metrics, synth
 from stereo_ore.lab.bench.scene_files import load_rig
 from stereo_ore.lab.synth.paper_cloud import NOISE_SHARES, Direction
-from stereo_ore.types import F64, I32, Mask, Site, StereoCalibration, StereoPair, VoxelCloud, single_voxels
+from stereo_ore.types import (
+    F64,
+    I32,
+    Mask,
+    Site,
+    StereoCalibration,
+    StereoPair,
+    VoxelCloud,
+    single_voxels,
+)
 
 DIRECTIONS: tuple[Direction, ...] = ("isotropic", "normal", "ray")
 TUNING_SEED = 100
@@ -25,7 +36,8 @@ TUNING_SEED = 100
 
 @dataclass(frozen=True)
 class LabelledCloud:
-    """A cloud, which of its points are noise, which of them belong to bars, and which can be judged.
+    """A cloud, which of its points are noise, which of them belong to bars, and which can be
+    judged.
 
     The last two are None where that is not known, and where all can.
     """
@@ -57,11 +69,21 @@ def made_stereo(seed: int, family: str, size: str = "HD720") -> LabelledCloud:
     """The stereo cloud of a synthetic scene, as `run` would hand it to the filter."""
     made = synth.scene(seed, family, size)
     disparity = np.nan_to_num(made.disparity_px.astype(np.float64))
-    return _stereo(made.spec.name, f"synth {family}", made.pair, made.calibration, made.site, disparity, made.instance)
+    return _stereo(
+        made.spec.name,
+        f"synth {family}",
+        made.pair,
+        made.calibration,
+        made.site,
+        disparity,
+        made.instance,
+    )
 
 
 def scene_stereo(folder: Path) -> LabelledCloud:
-    """The stereo cloud of a scene folder with truth, which stands in for missing calibration.yaml and site.yaml."""
+    """The stereo cloud of a scene folder with truth, which stands in for missing calibration.yaml
+    and site.yaml.
+    """
     truth = evaluate.load_truth(folder)
     calib, site = load_rig(folder)
     pair = recordings.open_source(folder).read(0)
@@ -69,9 +91,17 @@ def scene_stereo(folder: Path) -> LabelledCloud:
 
 
 def _stereo(
-    name: str, cell: str, pair: StereoPair, calib: StereoCalibration, site: Site, true_disparity: F64, instance: I32
+    name: str,
+    cell: str,
+    pair: StereoPair,
+    calib: StereoCalibration,
+    site: Site,
+    true_disparity: F64,
+    instance: I32,
 ) -> LabelledCloud:
-    """The voxels of a frame; noise as `metrics.is_noise` says, from the true disparity (H, W), 0 = none."""
+    """The voxels of a frame; noise as `metrics.is_noise` says, from the true disparity (H, W), 0 =
+    none.
+    """
     chain = Chain(calib, site, Config(filter=FilterConfig(method="none")))
     grid, rig = chain(pair).voxels, chain.rig
     if grid is None:
@@ -93,6 +123,10 @@ def labelled_file(path: Path) -> LabelledCloud:
     """
     records = clouds.read(path)
     if "noise" not in (records.dtype.names or ()):
-        raise CloudError("has no column noise", file=path, remedy="Label its points: 0 surface, 1 noise")
+        raise CloudError(
+            "has no column noise", file=path, remedy="Label its points: 0 surface, 1 noise"
+        )
     xyz = clouds.xyz(records)
-    return LabelledCloud(path.stem, path.stem, bare_cloud(xyz - np.nanmedian(xyz, axis=0)), records["noise"] != 0)
+    return LabelledCloud(
+        path.stem, path.stem, bare_cloud(xyz - np.nanmedian(xyz, axis=0)), records["noise"] != 0
+    )

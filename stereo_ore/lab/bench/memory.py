@@ -49,8 +49,12 @@ def peak_mb(samples: Samples) -> float | None:
     return max(size for _, size in samples) / 1e6 if samples else None
 
 
-def stage_peaks_mb(samples: Samples, start: float, stages_ms: Mapping[str, float]) -> dict[str, float]:
-    """The largest resident set [MB] in each of the stages that follow each other from `start` on."""
+def stage_peaks_mb(
+    samples: Samples, start: float, stages_ms: Mapping[str, float]
+) -> dict[str, float]:
+    """The largest resident set [MB] in each of the stages that follow each other from `start`
+    on.
+    """
     peaks = {}
     for name, ms in stages_ms.items():
         end = start + ms / 1000

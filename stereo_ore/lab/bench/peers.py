@@ -1,6 +1,8 @@
-"""OpenCV's matchers as peers: every setting of a grid, the left border padded, the whole range searched.
+"""OpenCV's matchers as peers: every setting of a grid, the left border padded, the whole range
+searched.
 
-Each gives a curve of (density, bad-1, bad-2) over its own doubt, so that peers can be compared at one density.
+Each gives a curve of (density, bad-1, bad-2) over its own doubt, so that peers can be compared at
+one density.
 """
 
 from __future__ import annotations
@@ -27,7 +29,9 @@ WLS_LAMBDA, WLS_SIGMA = 8000.0, 1.5
 
 @dataclass(frozen=True)
 class Peer:
-    """A matcher at one setting of the grid: its name, the setting in words, its curve, and its disparities (H, W)."""
+    """A matcher at one setting of the grid: its name, the setting in words, its curve, and its
+    disparities (H, W).
+    """
 
     name: str
     setting: str
@@ -43,13 +47,20 @@ def grid(data: StereoSet) -> Iterator[Peer]:
             words = f"block {block}, {colour}"
             for name in MODES:
                 found = {u: _sgbm(data, eyes, name, block, u) for u in UNIQUENESS}
-                yield Peer(name, words, [quality(values - data.truth) for values in found.values()], found[SHOWN])
+                yield Peer(
+                    name,
+                    words,
+                    [quality(values - data.truth) for values in found.values()],
+                    found[SHOWN],
+                )
             values, sure = _wls(data, eyes, block)
             yield Peer("WLS", words, points_by_confidence(values, sure, data.truth), values)
 
 
 def _padded(data: StereoSet, colour: bool) -> tuple[U8, U8]:
-    """Both eyes with as many columns more at the left as disparities are searched: no pixel is lost to the border."""
+    """Both eyes with as many columns more at the left as disparities are searched: no pixel is lost
+    to the border.
+    """
     both = data.pair.left, data.pair.right
     eyes = both if colour else [cv2.cvtColor(eye, cv2.COLOR_BGR2GRAY) for eye in both]
     n, rim = data.region.num_disparities, cv2.BORDER_REPLICATE
@@ -57,10 +68,14 @@ def _padded(data: StereoSet, colour: bool) -> tuple[U8, U8]:
     return left, right
 
 
-def _matcher(n: int, channels: int, name: str, block: int, checks: tuple[int, int, int, int]) -> cv2.StereoSGBM:
+def _matcher(
+    n: int, channels: int, name: str, block: int, checks: tuple[int, int, int, int]
+) -> cv2.StereoSGBM:
     area = channels * block * block
     lr, uniqueness, speckle, step = checks
-    return cv2.StereoSGBM.create(0, n, block, P1 * area, P2 * area, lr, CAP, uniqueness, speckle, step, MODES[name])
+    return cv2.StereoSGBM.create(
+        0, n, block, P1 * area, P2 * area, lr, CAP, uniqueness, speckle, step, MODES[name]
+    )
 
 
 def _sgbm(data: StereoSet, eyes: tuple[U8, U8], name: str, block: int, uniqueness: int) -> F32:
@@ -70,7 +85,9 @@ def _sgbm(data: StereoSet, eyes: tuple[U8, U8], name: str, block: int, uniquenes
 
 
 def _wls(data: StereoSet, eyes: tuple[U8, U8], block: int) -> tuple[F32, F32]:
-    """Disparities of the weighted least squares filter over 3WAY, and its confidence, as in OpenCV's sample."""
+    """Disparities of the weighted least squares filter over 3WAY, and its confidence, as in
+    OpenCV's sample.
+    """
     n, channels = data.region.num_disparities, 3 if eyes[0].ndim == 3 else 1
     matcher = _matcher(n, channels, "3WAY", block, (0, 0, 0, 0))
     smoother = cv2.ximgproc.createDisparityWLSFilter(matcher)

@@ -1,4 +1,6 @@
-"""Clouds of real pairs with true disparities, through the chain; and the same pairs as worse light would show them."""
+"""Clouds of real pairs with true disparities, through the chain; and the same pairs as worse light
+would show them.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,17 @@ from stereo_ore.errors import CloudError
 from stereo_ore.lab import metrics
 from stereo_ore.lab.bench.labelled import LabelledCloud
 from stereo_ore.lab.bench.stereo_sets import StereoSet
-from stereo_ore.types import F32, F64, U8, CameraModel, RectifiedPair, Rig, Site, StereoCalibration, StereoPair
+from stereo_ore.types import (
+    F32,
+    F64,
+    U8,
+    CameraModel,
+    RectifiedPair,
+    Rig,
+    Site,
+    StereoCalibration,
+    StereoPair,
+)
 
 FARTHEST_M, LEAST_PX = 2000.0, 1.0
 """No point is farther, nor has a smaller disparity where the eyes' centres agree."""
@@ -42,8 +54,12 @@ def real_cloud(found: StereoSet, name: str = "") -> LabelledCloud:
         raise CloudError("gives no cloud", file=found.name)
     K = np.array([[rig.fx, 0, rig.cx], [0, rig.fy, rig.cy], [0, 0, 1]])
     true = np.nan_to_num(found.truth.astype(np.float64))
-    noise = metrics.is_noise(grid.xyz, np.where(true > 0, true + rig.doffs_px, 0), K, rig.fx * rig.baseline_m)
-    return LabelledCloud(name or found.name, found.name, grid, noise, judged=_judged(grid.xyz, true, rig))
+    noise = metrics.is_noise(
+        grid.xyz, np.where(true > 0, true + rig.doffs_px, 0), K, rig.fx * rig.baseline_m
+    )
+    return LabelledCloud(
+        name or found.name, found.name, grid, noise, judged=_judged(grid.xyz, true, rig)
+    )
 
 
 def _calibration(rig: Rig, name: str) -> StereoCalibration:
@@ -55,9 +71,13 @@ def _calibration(rig: Rig, name: str) -> StereoCalibration:
 
 def _judged(xyz: F32, true: F64, rig: Rig) -> np.ndarray:
     u, v = np.rint(rig.project(xyz)).astype(int).T
-    known = cv2.boxFilter((true > 0).astype(np.float32), -1, (5, 5), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    known = cv2.boxFilter(
+        (true > 0).astype(np.float32), -1, (5, 5), normalize=False, borderType=cv2.BORDER_CONSTANT
+    )
     inside = (u >= 0) & (u < rig.width) & (v >= 0) & (v < rig.height)
-    return np.asarray(inside & (known[np.clip(v, 0, rig.height - 1), np.clip(u, 0, rig.width - 1)] >= LEAST_KNOWN))
+    return np.asarray(
+        inside & (known[np.clip(v, 0, rig.height - 1), np.clip(u, 0, rig.width - 1)] >= LEAST_KNOWN)
+    )
 
 
 def altered(found: StereoSet, way: str, rng: Rng) -> StereoSet:
@@ -109,13 +129,17 @@ def _dark(rng: Rng, left: F32, right: F32) -> tuple[F32, F32]:
 def _vignetting(rng: Rng, left: F32, right: F32) -> tuple[F32, F32]:
     y, x = _slope(left)
     corners = 1 - np.float32(0.3) * (x * x + y * y)
-    return _noisy(rng, left * corners, 3), _noisy(rng, np.float32(0.8) * right * corners[:, ::-1], 3)
+    return _noisy(rng, left * corners, 3), _noisy(
+        rng, np.float32(0.8) * right * corners[:, ::-1], 3
+    )
 
 
 def _blurred(rng: Rng, left: F32, right: F32) -> tuple[F32, F32]:
     """Also under a slope of light."""
     soft = cv2.GaussianBlur(right, (0, 0), float(rng.uniform(0.7, 1.3)))
-    return left, np.asarray(soft * (np.float32(0.9) + np.float32(0.4) * _slope(left)[1]), np.float32)
+    return left, np.asarray(
+        soft * (np.float32(0.9) + np.float32(0.4) * _slope(left)[1]), np.float32
+    )
 
 
 def _other_light(rng: Rng, left: F32, right: F32) -> tuple[F32, F32]:

@@ -1,4 +1,6 @@
-"""Calibration and working volume of a scene folder that has truth files, with or without the native YAML files."""
+"""Calibration and working volume of a scene folder that has truth files, with or without the native
+YAML files.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,10 @@ def load_rig(folder: Path) -> tuple[StereoCalibration, Site]:
     if (folder / "calibration.yaml").exists() and (folder / "site.yaml").exists():
         return calibration.load(folder / "calibration.yaml"), load_site(folder / "site.yaml")
     try:
-        calib, truth = (json.loads((folder / name).read_text(encoding="utf-8")) for name in ("calib.json", "gt.json"))
+        calib, truth = (
+            json.loads((folder / name).read_text(encoding="utf-8"))
+            for name in ("calib.json", "gt.json")
+        )
         opening, bar_width = truth["clear_opening_mm"] / 1000, truth["bar_width_mm"] / 1000
         T_screen_camera = _screen_from_camera(calib, truth)
         # Row z of the transform: height over the screen.
@@ -45,10 +50,14 @@ def _calibration(name: str, calib: dict[str, Any]) -> StereoCalibration:
     size = (int(calib["width"]), int(calib["height"]))
     if calib.get("rectified", True):
         eye = _eye(calib["K"])
-        return StereoCalibration(size, eye, eye, np.eye(3), np.array([-calib["baseline_mm"] / 1000, 0, 0]), camera=name)
+        return StereoCalibration(
+            size, eye, eye, np.eye(3), np.array([-calib["baseline_mm"] / 1000, 0, 0]), camera=name
+        )
     left, right = (_eye(calib[side]["K"], calib[side]["dist"]) for side in ("left", "right"))
     t = np.array(calib["t_right_left_mm"], float) / 1000
-    return StereoCalibration(size, left, right, np.array(calib["R_right_left"], float), t, "raw", camera=name)
+    return StereoCalibration(
+        size, left, right, np.array(calib["R_right_left"], float), t, "raw", camera=name
+    )
 
 
 def _eye(K: list[list[float]], distortion: list[float] | None = None) -> CameraModel:

@@ -39,11 +39,12 @@ BEFORE = ("read", "rectify", "match")
 
 @dataclass(frozen=True)
 class FrameCost:
-    """A frame of one size: medians over interleaved rounds in milliseconds, ratios as medians of each round's own.
+    """A frame of one size: medians over interleaved rounds in milliseconds, ratios as medians of
+    each round's own.
 
     `frame_ms` is from reading to the record; `files_ms` cloud and overlay on disk. `plain_ms` is
-    ``StereoSGBM.compute`` on grey images, whole, `disparities` wide. `peak_mb` is the process's resident set. A frame
-    whose `status` is "degraded" may have ended before its last stages.
+    ``StereoSGBM.compute`` on grey images, whole, `disparities` wide. `peak_mb` is the process's
+    resident set. A frame whose `status` is "degraded" may have ended before its last stages.
     """
 
     size: str
@@ -71,7 +72,9 @@ def make_scene(folder: Path, size: str) -> Path:
 
 
 def measure(size: str, scene: Path, site: bool, rounds: int) -> FrameCost:
-    """What a frame costs, in a process of its own: memory that another size has left behind does not count."""
+    """What a frame costs, in a process of its own: memory that another size has left behind does
+    not count.
+    """
     with ProcessPoolExecutor(1, get_context("spawn")) as pool:
         return pool.submit(_measure, size, scene, site, rounds).result()
 
@@ -91,7 +94,11 @@ def _measure(size: str, scene: Path, site: bool, rounds: int) -> FrameCost:
     plain_ms = {name: np.array([t[name] for t in times]) for name in PLAIN}
     return FrameCost(
         size, site, _plain_disparities(chain.rig.fx),
-        stages_ms={name: float(np.median([t[name] for t in times])) for name in times[0] if name not in PLAIN},
+        stages_ms={
+            name: float(np.median([t[name] for t in times]))
+            for name in times[0]
+            if name not in PLAIN
+        },
         frame_ms=float(np.median(frames)), after_ms=float(np.median(after)),
         files_ms=float(np.median([t["files"] for t in times])),
         plain_ms={name: float(np.median(ms)) for name, ms in plain_ms.items()},
@@ -102,7 +109,9 @@ def _measure(size: str, scene: Path, site: bool, rounds: int) -> FrameCost:
 
 
 def _round(job: Job, plain: Mapping[str, Callable[[], object]]) -> dict[str, float]:
-    """Milliseconds of each stage, of the record, of the files, and of the plain matchers, one after the other."""
+    """Milliseconds of each stage, of the record, of the files, and of the plain matchers, one after
+    the other.
+    """
     result, times = _frame(job)
     times["files"] = _ms(lambda: job.driver.files.write(result))
     return times | {name: _ms(task) for name, task in plain.items()}
@@ -115,7 +124,9 @@ def _frame(job: Job) -> tuple[FrameResult, dict[str, float]]:
         os.utime(path)  # a file as new as each frame's: its hash is not remembered
     result = job.detect(0)
     site = job.driver.chain.site
-    return result, dict(result.stages_ms) | {"record": _ms(lambda: frame_lines(result, site, paths))}
+    return result, dict(result.stages_ms) | {
+        "record": _ms(lambda: frame_lines(result, site, paths))
+    }
 
 
 def _memory(job: Job) -> tuple[float | None, dict[str, float]]:

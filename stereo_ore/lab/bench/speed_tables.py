@@ -13,9 +13,14 @@ from stereo_ore.lab.bench.speed import PLAIN, FrameCost
 from stereo_ore.lab.bench.tables import table
 
 
-def markdown(frames: Sequence[FrameCost], growth: Sequence[GrowthRow], machine: Mapping[str, Any]) -> str:
+def markdown(
+    frames: Sequence[FrameCost], growth: Sequence[GrowthRow], machine: Mapping[str, Any]
+) -> str:
     """All tables."""
-    about = f"{machine['cores']} cores ({machine['processor']}), OpenCV {machine['opencv']}, load {machine['load']:.1f}"
+    about = (
+        f"{machine['cores']} cores ({machine['processor']}), OpenCV {machine['opencv']}, load"
+        f" {machine['load']:.1f}"
+    )
     parts = [f"Measured on {about}; medians of rounds in which all take turns."]
     if frames:
         parts += [_frames(frames), _memory(frames)]
@@ -40,8 +45,12 @@ def _frames(frames: Sequence[FrameCost]) -> str:
     for name in PLAIN:
         rows.append([f"plain {name}", *(_ms(cost.plain_ms[name]) for cost in frames)])
     for name in PLAIN:
-        rows.append([f"**frame / {name}**", *(f"**{cost.frame_ratio[name]:.2f}**" for cost in frames)])
-        rows.append([f"after matching / {name}", *(f"{cost.after_ratio[name]:.2f}" for cost in frames)])
+        rows.append(
+            [f"**frame / {name}**", *(f"**{cost.frame_ratio[name]:.2f}**" for cost in frames)]
+        )
+        rows.append(
+            [f"after matching / {name}", *(f"{cost.after_ratio[name]:.2f}" for cost in frames)]
+        )
     note = "Plain is `StereoSGBM.compute` on grey, rectified images, whole, one direction."
     return f"**What a frame costs.** {note}\n\n{table(head, rows)}"
 
@@ -58,18 +67,25 @@ def _memory(frames: Sequence[FrameCost]) -> str:
 
 
 def _growth(rows: Sequence[GrowthRow]) -> str:
-    names, sizes = list(dict.fromkeys(row.filter for row in rows)), list(dict.fromkeys(row.points for row in rows))
+    names, sizes = (
+        list(dict.fromkeys(row.filter for row in rows)),
+        list(dict.fromkeys(row.points for row in rows)),
+    )
     found = {(row.filter, row.points): row for row in rows}
     cells = [[f"{n:,}", *(_cell(found[name, n]) for name in names)] for n in sizes]
     steps = [_growth_step(found, names, small, large) for small, large in pairwise(sizes)]
     note = (
-        "Seconds, and MB by which the process grew; – was left out for its time. The last rows: time over that of the "
-        "smaller cloud, scaled by n log n."
+        "Seconds, and MB by which the process grew; – was left out for its time. The last rows:"
+        " time over that of the smaller cloud, scaled by n log n."
     )
-    return f"**The filter on larger clouds.** {note}\n\n{table(['points', *names], [*cells, *steps])}"
+    return (
+        f"**The filter on larger clouds.** {note}\n\n{table(['points', *names], [*cells, *steps])}"
+    )
 
 
-def _growth_step(found: Mapping[tuple[str, int], GrowthRow], names: Sequence[str], small: int, large: int) -> list[str]:
+def _growth_step(
+    found: Mapping[tuple[str, int], GrowthRow], names: Sequence[str], small: int, large: int
+) -> list[str]:
     def ratio(name: str) -> str:
         before, after = found[name, small].seconds, found[name, large].seconds
         if before is None or after is None:
@@ -94,12 +110,18 @@ def _mb(value: float | None) -> str:
 
 
 def draw(frames: Sequence[FrameCost], growth: Sequence[GrowthRow], path: Path) -> None:
-    """Write a picture: stages of a frame as stacked bars beside the plain matchers, and the filters' growth."""
+    """Write a picture: stages of a frame as stacked bars beside the plain matchers, and the
+    filters' growth.
+    """
     figure = new_figure(13, 5.5, layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))
     _draw_frames(left, frames)
     for name in dict.fromkeys(row.filter for row in growth):
-        points = [(row.points, row.seconds) for row in growth if row.filter == name and row.seconds is not None]
+        points = [
+            (row.points, row.seconds)
+            for row in growth
+            if row.filter == name and row.seconds is not None
+        ]
         right.loglog(*zip(*points, strict=True), marker="o", label=name)
     right.set(xlabel="points", ylabel="seconds", title="Filters on larger clouds")
     right.grid(alpha=0.3)
@@ -109,7 +131,11 @@ def draw(frames: Sequence[FrameCost], growth: Sequence[GrowthRow], path: Path) -
 
 
 def _draw_frames(axis: Any, frames: Sequence[FrameCost]) -> None:
-    stages = [name for name in max((cost.stages_ms for cost in frames), key=len, default={}) if name != "files"]
+    stages = [
+        name
+        for name in max((cost.stages_ms for cost in frames), key=len, default={})
+        if name != "files"
+    ]
     bottom = [0.0] * len(frames)
     places = range(len(frames))
     for name in stages:
@@ -119,7 +145,9 @@ def _draw_frames(axis: Any, frames: Sequence[FrameCost]) -> None:
     for name, marker in zip(PLAIN, "_x", strict=True):
         plain = [cost.plain_ms[name] for cost in frames]
         size = 300 if marker == "_" else 60
-        axis.scatter(places, plain, s=size, c="black", marker=marker, label=f"plain {name}", zorder=3)
+        axis.scatter(
+            places, plain, s=size, c="black", marker=marker, label=f"plain {name}", zorder=3
+        )
     axis.set_xticks(list(places), [_title(cost).replace(", ", "\n") for cost in frames])
     axis.set(ylabel="ms a frame", title="Stages of a frame")
     if frames:

@@ -21,15 +21,18 @@ from stereo_ore.types import F32, F64, Disparity, Mask
 Matcher = Callable[[StereoSet], F32 | F64]
 
 PLAIN_DISPARITIES, PLAIN_WIDTH = 128, 1280
-"""What plain 3WAY searches over the whole image, at this width: the reference of time for a matcher with a site."""
+"""What plain 3WAY searches over the whole image, at this width: the reference of time for a matcher
+with a site."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """One matcher on one set: shares in % of the pixels with truth, missing ones counted as bad; times in ms.
+    """One matcher on one set: shares in % of the pixels with truth, missing ones counted as bad;
+    times in ms.
 
-    `scope` is "all", "seen" (by both eyes) or "ore". `density` is the share with a disparity, `bad2_found` the share
-    of these that is wrong by more than 2 px, `bias` [px] the median signed error of what is right to 1 px.
+    `scope` is "all", "seen" (by both eyes) or "ore". `density` is the share with a disparity,
+    `bad2_found` the share of these that is wrong by more than 2 px, `bias` [px] the median signed
+    error of what is right to 1 px.
     """
 
     set: str
@@ -46,7 +49,9 @@ class Row:
 
 @dataclass(frozen=True)
 class Sureness:
-    """Our confidence on a set: area under the ROC curve for "within 1 px"; of each tenth, what is said and true."""
+    """Our confidence on a set: area under the ROC curve for "within 1 px"; of each tenth, what is
+    said and true.
+    """
 
     set: str
     auc: float | None
@@ -66,7 +71,9 @@ def measured(data: StereoSet, config: MatchingConfig = MatchingConfig()) -> Disp
 
 
 def opencv_sgbm(data: StereoSet) -> F64:
-    """``StereoSGBM`` as OpenCV's ``stereo_match.cpp`` sets it up; its lost left border is not made up for."""
+    """``StereoSGBM`` as OpenCV's ``stereo_match.cpp`` sets it up; its lost left border is not made
+    up for.
+    """
     area = 3 * 3 * 3
     matcher = cv2.StereoSGBM.create(
         *_range(data), 3, 8 * area, 32 * area, 1, 63, 10, 100, 32, cv2.STEREO_SGBM_MODE_SGBM
@@ -75,7 +82,9 @@ def opencv_sgbm(data: StereoSet) -> F64:
 
 
 def opencv_wls(data: StereoSet) -> F64:
-    """``StereoSGBM`` and the weighted least squares filter as OpenCV's ``disparity_filtering.cpp`` sets them up."""
+    """``StereoSGBM`` and the weighted least squares filter as OpenCV's ``disparity_filtering.cpp``
+    sets them up.
+    """
     area = 3 * 3
     matcher = cv2.StereoSGBM.create(
         *_range(data), 3, 24 * area, 96 * area, 0, 63, 0, 0, 0, cv2.STEREO_SGBM_MODE_SGBM_3WAY
@@ -85,18 +94,29 @@ def opencv_wls(data: StereoSet) -> F64:
     wls.setSigmaColor(1.5)
     left = matcher.compute(data.pair.left, data.pair.right)
     right = cv2.ximgproc.createRightMatcher(matcher).compute(data.pair.right, data.pair.left)
-    return _pixels(wls.filter(left, data.pair.left, disparity_map_right=right), data.region.min_disparity)
+    return _pixels(
+        wls.filter(left, data.pair.left, disparity_map_right=right), data.region.min_disparity
+    )
 
 
 def opencv_3way(data: StereoSet) -> F64:
-    """Plain 3WAY on grey images over the whole image, 128 disparities at 1280 px: the reference of time."""
+    """Plain 3WAY on grey images over the whole image, 128 disparities at 1280 px: the reference of
+    time.
+    """
     count = 16 * -(-data.pair.rig.width * PLAIN_DISPARITIES // PLAIN_WIDTH // 16)
     grey = [cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) for image in (data.pair.left, data.pair.right)]
-    matcher = cv2.StereoSGBM.create(0, count, 5, 200, 800, 1, 31, 10, 100, 32, cv2.STEREO_SGBM_MODE_SGBM_3WAY)
+    matcher = cv2.StereoSGBM.create(
+        0, count, 5, 200, 800, 1, 31, 10, 100, 32, cv2.STEREO_SGBM_MODE_SGBM_3WAY
+    )
     return _pixels(matcher.compute(*grey), 0)
 
 
-MATCHERS: dict[str, Matcher] = {"stereo-ore": ours, "SGBM": opencv_sgbm, "SGBM+WLS": opencv_wls, "3WAY": opencv_3way}
+MATCHERS: dict[str, Matcher] = {
+    "stereo-ore": ours,
+    "SGBM": opencv_sgbm,
+    "SGBM+WLS": opencv_wls,
+    "3WAY": opencv_3way,
+}
 
 
 def judge_all(sets: Iterable[StereoSet], repeats: int = 3) -> Iterator[Row]:
@@ -144,7 +164,9 @@ def _rows(data: StereoSet, matcher: str, disparity: F32 | F64, ms: float) -> Ite
 
 
 def _quality(error: F64) -> dict[str, float]:
-    """Density, bad-1, bad-2, bad-2 of what was found, median and bias of signed errors, NaN = missing."""
+    """Density, bad-1, bad-2, bad-2 of what was found, median and bias of signed errors, NaN =
+    missing.
+    """
     found = np.abs(error[np.isfinite(error)])
     right = error[np.abs(error) <= 1]
     return {
@@ -158,10 +180,16 @@ def _quality(error: F64) -> dict[str, float]:
 
 
 def sureness_markdown(found: Sequence[Sureness]) -> str:
-    """A row a set: area under the ROC curve, and the share that is right in each tenth of the confidence."""
+    """A row a set: area under the ROC curve, and the share that is right in each tenth of the
+    confidence.
+    """
     head = ["set", "AUC", *(f"{low / 10:.1f}…{(low + 1) / 10:.1f}" for low in range(10))]
     rows = [
-        [s.set, "–" if s.auc is None else f"{s.auc:.3f}", *("–" if x is None else f"{x:.2f}" for x in s.true)]
+        [
+            s.set,
+            "–" if s.auc is None else f"{s.auc:.3f}",
+            *("–" if x is None else f"{x:.2f}" for x in s.true),
+        ]
         for s in found
     ]
     return f"Share within 1 px of the truth, by the confidence said:\n\n{table(head, rows)}\n"
@@ -170,11 +198,27 @@ def sureness_markdown(found: Sequence[Sureness]) -> str:
 def markdown(rows: Sequence[Row]) -> str:
     """One table a scope."""
     parts = []
-    for scope, title in (("all", "All pixels with truth"), ("seen", "Pixels that both eyes see"), ("ore", "Ore")):
+    for scope, title in (
+        ("all", "All pixels with truth"),
+        ("seen", "Pixels that both eyes see"),
+        ("ore", "Ore"),
+    ):
         chosen = [row for row in rows if row.scope == scope]
         if chosen:
-            head = ["set", "matcher", "density %", "bad-1 %", "bad-2 %", "bad-2 of found %", "median px", "ms"]
-            parts.append(f"**{title}** (missing counts as bad)\n\n{table(head, [_cells(row) for row in chosen])}")
+            head = [
+                "set",
+                "matcher",
+                "density %",
+                "bad-1 %",
+                "bad-2 %",
+                "bad-2 of found %",
+                "median px",
+                "ms",
+            ]
+            parts.append(
+                f"**{title}** (missing counts as"
+                f" bad)\n\n{table(head, [_cells(row) for row in chosen])}"
+            )
     return "\n\n".join(parts) + "\n"
 
 

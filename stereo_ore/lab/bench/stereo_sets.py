@@ -1,4 +1,6 @@
-"""Stereo pairs with true disparities: Middlebury v3 and 2006, the aloe, and path-traced or synthetic scenes."""
+"""Stereo pairs with true disparities: Middlebury v3 and 2006, the aloe, and path-traced or
+synthetic scenes.
+"""
 
 from __future__ import annotations
 
@@ -26,8 +28,9 @@ MIDDLEBURY_2006_SCALE = 3.0
 class StereoSet:
     """A pair with truth (H, W) float32 [px], NaN = unknown.
 
-    `seen` are the pixels that both eyes see, None where that is not known; `ore` the pixels of lumps, None where there
-    are none. `region` is what any matcher may search, `volume` what our own is also told.
+    `seen` are the pixels that both eyes see, None where that is not known; `ore` the pixels of
+    lumps, None where there are none. `region` is what any matcher may search, `volume` what our own
+    is also told.
     """
 
     name: str
@@ -47,8 +50,15 @@ def find_sets(folder: Path) -> Iterator[StereoSet]:
     SourceError
         When there is none, or a file of one can't be read.
     """
-    readers = {"disp0GT.pfm": middlebury, "disp1.png": middlebury_2006, "aloeGT.png": aloe, "gt.npz": traced}
-    found = sorted((path.parent, reader) for name, reader in readers.items() for path in folder.rglob(name))
+    readers = {
+        "disp0GT.pfm": middlebury,
+        "disp1.png": middlebury_2006,
+        "aloeGT.png": aloe,
+        "gt.npz": traced,
+    }
+    found = sorted(
+        (path.parent, reader) for name, reader in readers.items() for path in folder.rglob(name)
+    )
     if not found:
         remedy = "Give a folder of Middlebury sets or of scene folders with gt.npz"
         raise SourceError("holds no stereo pair with truth", file=folder, remedy=remedy)
@@ -63,25 +73,38 @@ def middlebury(folder: Path) -> StereoSet:
     mask = folder / "mask0nocc.png"
     seen = np.asarray(_image(mask, cv2.IMREAD_GRAYSCALE) == 255) if mask.exists() else None
     pair = RectifiedPair(_image(folder / "im0.png"), _image(folder / "im1.png"), rig)
-    return _whole(folder.name, pair, np.where(np.isfinite(truth) & (truth > 0), truth, np.float32(np.nan)), seen)
+    return _whole(
+        folder.name,
+        pair,
+        np.where(np.isfinite(truth) & (truth > 0), truth, np.float32(np.nan)),
+        seen,
+    )
 
 
 def middlebury_2006(folder: Path) -> StereoSet:
     """A third-size Middlebury 2006 set; unknown truth is 0."""
     left, right = _image(folder / "view1.png"), _image(folder / "view5.png")
-    truth = _image(folder / "disp1.png", cv2.IMREAD_GRAYSCALE).astype(np.float32) / np.float32(MIDDLEBURY_2006_SCALE)
-    return _whole(folder.name, RectifiedPair(left, right, _bare_rig(left)), np.where(truth > 0, truth, np.nan))
+    truth = _image(folder / "disp1.png", cv2.IMREAD_GRAYSCALE).astype(np.float32) / np.float32(
+        MIDDLEBURY_2006_SCALE
+    )
+    return _whole(
+        folder.name, RectifiedPair(left, right, _bare_rig(left)), np.where(truth > 0, truth, np.nan)
+    )
 
 
 def aloe(folder: Path) -> StereoSet:
     """OpenCV's aloe; unknown truth is 0."""
     left, right = _image(folder / "aloeL.jpg"), _image(folder / "aloeR.jpg")
     truth = _image(folder / "aloeGT.png", cv2.IMREAD_GRAYSCALE).astype(np.float32)
-    return _whole(folder.name, RectifiedPair(left, right, _bare_rig(left)), np.where(truth > 0, truth, np.nan))
+    return _whole(
+        folder.name, RectifiedPair(left, right, _bare_rig(left)), np.where(truth > 0, truth, np.nan)
+    )
 
 
 def traced(folder: Path) -> StereoSet:
-    """A scene folder with calibration, working volume and exact truth; what lies outside the volume does not count."""
+    """A scene folder with calibration, working volume and exact truth; what lies outside the volume
+    does not count.
+    """
     truth = evaluate.load_truth(folder)
     stereo, site = load_rig(folder)
     pair = rectify.rectify(recordings.open_source(folder).read(0), rectify.make_rectifier(stereo))
@@ -91,7 +114,14 @@ def traced(folder: Path) -> StereoSet:
         known &= site.volume.contains(pair.rig.back_project(u, v, truth.depth))
     disparity = np.where(known, truth.disparity, np.nan).astype(np.float32)
     region = matching.find_region(pair.rig, site.volume, MatchingConfig())
-    return StereoSet(folder.name, pair, disparity, region, ore=np.asarray(truth.instance >= 2), volume=site.volume)
+    return StereoSet(
+        folder.name,
+        pair,
+        disparity,
+        region,
+        ore=np.asarray(truth.instance >= 2),
+        volume=site.volume,
+    )
 
 
 def read_pfm(path: Path) -> F32:
@@ -109,7 +139,9 @@ def read_pfm(path: Path) -> F32:
             order = "<f4" if float(scale) < 0 else ">f4"
             values = np.frombuffer(file.read(), order)
         if kind != b"Pf":
-            raise ValueError(f"kind {kind.decode(errors='replace')!r}, only grey ones (Pf) are read")
+            raise ValueError(
+                f"kind {kind.decode(errors='replace')!r}, only grey ones (Pf) are read"
+            )
         return np.ascontiguousarray(values.reshape(height, width)[::-1], np.float32)
     except OSError as fault:
         raise SourceError(f"can't be read: {fault.strerror}", file=path) from None

@@ -12,8 +12,14 @@ from stereo_ore.errors import OutputError
 def markdown(document: dict[str, Any]) -> str:
     """The tables of a `bench filter` result."""
     parts = [_section("The paper's protocol", document["paper"])]
-    titles = {"planted": "Outliers planted on scans", "stereo": "Stereo clouds", "real": "Real stereo clouds"}
-    parts += [_section(title, document[key]) for key, title in titles.items() if document[key]["cells"]]
+    titles = {
+        "planted": "Outliers planted on scans",
+        "stereo": "Stereo clouds",
+        "real": "Real stereo clouds",
+    }
+    parts += [
+        _section(title, document[key]) for key, title in titles.items() if document[key]["cells"]
+    ]
     parts.append(_clean(document["clean"]))
     return "\n\n".join([*parts, *map(_speed, document["speed"])]) + "\n"
 
@@ -25,16 +31,30 @@ def _section(title: str, part: dict[str, Any]) -> str:
     names = list(dict.fromkeys(cell["cell"] for cell in cells))
     rows = [_cells(name, [c for c in cells if c["cell"] == name], filters) for name in names]
     mean = ["**mean**", "", *(percent(summary["f1"][name]) for name in filters), "", "", "", "", ""]
-    best = f"Best tuned baseline, mean of each cloud's best: F1 {percent(summary['best_tuned_baseline_f1'])} %."
-    note = f"F1 in % (baselines: best of a grid on each cloud); the last five columns are {filters[-1]}'s. {best}"
+    best = (
+        "Best tuned baseline, mean of each cloud's best: F1"
+        f" {percent(summary['best_tuned_baseline_f1'])} %."
+    )
+    note = (
+        "F1 in % (baselines: best of a grid on each cloud); the last five columns are"
+        f" {filters[-1]}'s. {best}"
+    )
     return f"**{title}.** {note}\n\n{table(head, [*rows, mean])}"
 
 
 def _cells(name: str, cells: Sequence[dict[str, Any]], filters: Sequence[str]) -> list[str]:
     by_filter = {cell["filter"]: cell for cell in cells}
     ours = by_filter[filters[-1]]
-    figures = [percent(ours[key]) for key in ("precision", "recall", "retention", "noise_left", "bars_kept")]
-    return [name, percent(ours["noise_share"]), *(percent(by_filter[f]["f1"]) for f in filters), *figures]
+    figures = [
+        percent(ours[key])
+        for key in ("precision", "recall", "retention", "noise_left", "bars_kept")
+    ]
+    return [
+        name,
+        percent(ours["noise_share"]),
+        *(percent(by_filter[f]["f1"]) for f in filters),
+        *figures,
+    ]
 
 
 def _clean(rows: Sequence[dict[str, Any]]) -> str:
@@ -48,8 +68,8 @@ def _speed(speed: dict[str, float]) -> str:
     base = speed["open3d_statistical"]
     ratios = ", ".join(f"{name} {speed[name] / base:.1f} times" for name in ("adaptive", "paper"))
     return (
-        f"**Time** at {speed['points']:,.0f} points, K = {speed['k']:.0f}, in one process: Open3D's "
-        f"`remove_statistical_outlier` {base:.0f} ms; {ratios} that."
+        f"**Time** at {speed['points']:,.0f} points, K = {speed['k']:.0f}, in one process: Open3D's"
+        f" `remove_statistical_outlier` {base:.0f} ms; {ratios} that."
     )
 
 
@@ -78,7 +98,11 @@ def insert(readme: Path, name: str, text: str) -> None:
         before, found, rest = old.partition(start)
         _, closed, after = rest.partition(end)
         if not found or not closed:
-            raise OutputError(f"lacks the lines {start} and {end}", file=readme, remedy="Add them where the table goes")
+            raise OutputError(
+                f"lacks the lines {start} and {end}",
+                file=readme,
+                remedy="Add them where the table goes",
+            )
         readme.write_text(f"{before}{start}\n{text}{end}{after}", encoding="utf-8")
     except OSError as fault:
         raise OutputError(f"can't be used: {fault.strerror}", file=readme) from None

@@ -42,18 +42,26 @@ class Pair:
 def find_pairs(results: Path, truth: Path) -> list[Pair]:
     """Pairs of the scenes in `truth` and the frames in `results`, sorted by scene.
 
-    `truth` is a scene folder or a folder of them. `results` is one run folder, whose frames carry the names of the
-    scenes (a run of one frame fits one scene, whatever its name), or a folder with a run folder a scene, at
-    ``<scene>`` or ``<scene>/out``.
+    `truth` is a scene folder or a folder of them. `results` is one run folder, whose frames carry
+    the names of the scenes (a run of one frame fits one scene, whatever its name), or a folder with
+    a run folder a scene, at ``<scene>`` or ``<scene>/out``.
 
     Raises
     ------
     SourceError
         When there is no scene, or no result for one of them.
     """
-    scenes = [truth] if (truth / "calib.json").is_file() else sorted(p.parent for p in truth.glob("*/calib.json"))
+    scenes = (
+        [truth]
+        if (truth / "calib.json").is_file()
+        else sorted(p.parent for p in truth.glob("*/calib.json"))
+    )
     if not scenes:
-        raise SourceError("holds no scene with truth", file=truth, remedy="A scene folder has calib.json and gt.json")
+        raise SourceError(
+            "holds no scene with truth",
+            file=truth,
+            remedy="A scene folder has calib.json and gt.json",
+        )
     if (results / "frames.jsonl").is_file():
         return [Pair(scene, results, _frame(results, scene, len(scenes) == 1)) for scene in scenes]
     return [_own_run(results, scene) for scene in scenes]
@@ -63,7 +71,11 @@ def _own_run(results: Path, scene: Path) -> Pair:
     for run in (results / scene.name, results / scene.name / "out"):
         if (run / "frames.jsonl").is_file():
             return Pair(scene, run, _frame(run, scene, alone=True))
-    raise SourceError(f"holds no run of scene {scene.name}", file=results, remedy=f"Expected {scene.name}/frames.jsonl")
+    raise SourceError(
+        f"holds no run of scene {scene.name}",
+        file=results,
+        remedy=f"Expected {scene.name}/frames.jsonl",
+    )
 
 
 def _frame(run: Path, scene: Path, alone: bool) -> str:

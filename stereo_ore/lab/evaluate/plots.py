@@ -13,7 +13,11 @@ ACROSS = {
     "size_mm": "longest dimension [mm]",
     "visible_fraction": "visible share",
 }
-UP = {"iou": "IoU", "cog_rel": "centre of gravity, error / longest dimension", "volume": "volume, relative error"}
+UP = {
+    "iou": "IoU",
+    "cog_rel": "centre of gravity, error / longest dimension",
+    "volume": "volume, relative error",
+}
 LIMITS = {"iou": 1.0, "cog_rel": 0.4, "volume": 1.0}
 """Errors beyond these are drawn on the upper edge, so that one outlier doesn't flatten the rest."""
 
@@ -30,7 +34,9 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
                 axes[i, j].set_ylabel(y_label)
             if i == len(UP) - 1:
                 axes[i, j].set_xlabel(x_label)
-    figure.suptitle(f"{len(rows)} scenes, {len(lumps)} lumps that had to be found (filled: oversize)")
+    figure.suptitle(
+        f"{len(rows)} scenes, {len(lumps)} lumps that had to be found (filled: oversize)"
+    )
     save_figure(figure, path, dpi=110)
 
 
@@ -39,6 +45,8 @@ def _scatter(axis: Any, lumps: Sequence[dict[str, Any]], x: str, y: str) -> None
         shown = [lump for lump in lumps if y in lump and lump["is_oversize"] is oversize]
         face = "tab:red" if oversize else "none"
         heights = [min(lump[y], LIMITS[y]) for lump in shown]
-        axis.scatter([lump[x] for lump in shown], heights, s=18, facecolors=face, edgecolors="tab:red")
+        axis.scatter(
+            [lump[x] for lump in shown], heights, s=18, facecolors=face, edgecolors="tab:red"
+        )
     axis.set_ylim(-0.02 * LIMITS[y], 1.03 * LIMITS[y])
     axis.grid(alpha=0.3)

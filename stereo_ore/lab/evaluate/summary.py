@@ -11,9 +11,15 @@ Row = dict[str, Any]
 
 
 def pool(rows: Sequence[Row]) -> dict[str, float]:
-    """Medians over lumps or scenes, means of filter figures, shares of counts; NaN where nothing counts."""
+    """Medians over lumps or scenes, means of filter figures, shares of counts; NaN where nothing
+    counts.
+    """
     filters, matches, ores = ([row[key] for row in rows] for key in ("filter", "match", "ores"))
-    best = [max(row["baseline"][k]["f1"] for k in ("statistical", "radius")) for row in rows if row["baseline"]]
+    best = [
+        max(row["baseline"][k]["f1"] for k in ("statistical", "radius"))
+        for row in rows
+        if row["baseline"]
+    ]
     xy, z, relative, volume, size = (
         _pooled(rows, "solid", k) for k in ("cog_xy", "cog_z", "cog_rel", "volume", "size")
     )
@@ -74,11 +80,14 @@ def table(rows: Sequence[Row]) -> list[list[str]]:
 
 
 def _cells(row: Row) -> dict[str, str]:
-    match, quality, ores, solid, strike = (row[key] for key in ("match", "filter", "ores", "solid", "strike"))
+    match, quality, ores, solid, strike = (
+        row[key] for key in ("match", "filter", "ores", "solid", "strike")
+    )
     shares = {
         "valid %": match["valid"], "bad1 %": match["bad1"], "Pr %": quality["precision"],
         "Recall %": quality["recall"], "Retain %": quality["retention"], "F1 %": quality["f1"],
-        "noise left %": quality["noise_left"], "IoU %": np.nan if ores["iou"] is None else ores["iou"],
+        "noise left %": quality["noise_left"],
+        "IoU %": np.nan if ores["iou"] is None else ores["iou"],
         "volume %": _median(solid["volume"]), "size %": _median(solid["size"]),
     }  # fmt: skip
     lengths = {
@@ -87,7 +96,12 @@ def _cells(row: Row) -> dict[str, str]:
     }  # fmt: skip
     counts = {"hit": f"{ores['hit']}/{ores['wanted']}", "false": str(ores["false"])}
     percent = {key: _number(100 * value) for key, value in shares.items()}
-    return {"scene": row["scene"]} | counts | percent | {key: _number(value) for key, value in lengths.items()}
+    return (
+        {"scene": row["scene"]}
+        | counts
+        | percent
+        | {key: _number(value) for key, value in lengths.items()}
+    )
 
 
 def _number(value: float) -> str:

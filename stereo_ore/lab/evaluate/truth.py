@@ -13,7 +13,14 @@ from stereo_ore.errors import SourceError
 from stereo_ore.io.npz_io import load_arrays
 from stereo_ore.types import F64, I32
 
-LUMP_KEYS = ("com_left_mm", "com_world_mm", "volume_mm3", "obb_dims_mm", "max_caliper_mm", "oversize")
+LUMP_KEYS = (
+    "com_left_mm",
+    "com_world_mm",
+    "volume_mm3",
+    "obb_dims_mm",
+    "max_caliper_mm",
+    "oversize",
+)
 """What gt.json must say of a lump that must be found."""
 MIN_PIXELS, MIN_VISIBLE = 400, 0.3
 """Lumps that show fewer pixels, or a smaller share of themselves, need not be found."""
@@ -28,8 +35,9 @@ def must_be_found(visible_pixels: int, visible_fraction: float, cut: bool) -> bo
 class Truth:
     """What is true of the rectified left view.
 
-    `depth` (H, W) [m], 0 where nothing is seen; `instance` (H, W), lumps from 2 on; `lumps` by id, as gt.json has them
-    (mm); `normal` of the screen in the arm's frame; `K` [px] and `focal_baseline` [px m].
+    `depth` (H, W) [m], 0 where nothing is seen; `instance` (H, W), lumps from 2 on; `lumps` by id,
+    as gt.json has them (mm); `normal` of the screen in the arm's frame; `K` [px] and
+    `focal_baseline` [px m].
     """
 
     name: str
@@ -52,7 +60,9 @@ class Truth:
         return [
             id_
             for id_, lump in self.lumps.items()
-            if must_be_found(lump["visible_pixels"], lump["visible_fraction"], lump["cut_by_image_border"])
+            if must_be_found(
+                lump["visible_pixels"], lump["visible_fraction"], lump["cut_by_image_border"]
+            )
         ]
 
     def centre(self, id_: int) -> F64:
@@ -76,14 +86,21 @@ def load_truth(scene: Path) -> Truth:
     except (OSError, ValueError, TypeError, IndexError, AttributeError, RecursionError) as fault:
         raise SourceError(f"truth can't be read: {fault}", file=scene) from None
     except KeyError as fault:
-        remedy = "A scene folder holds calib.json, gt.json and gt.npz as `stereo-ore synth` writes them"
+        remedy = (
+            "A scene folder holds calib.json, gt.json and gt.npz as `stereo-ore synth` writes them"
+        )
         raise SourceError("is missing", file=scene, key=str(fault.args[0]), remedy=remedy) from None
 
 
-def _truth(name: str, calib: dict[str, Any], truth: dict[str, Any], arrays: dict[str, Any]) -> Truth:
+def _truth(
+    name: str, calib: dict[str, Any], truth: dict[str, Any], arrays: dict[str, Any]
+) -> Truth:
     if calib.get("rectified", True):
         depth, instance = arrays["depth_left_mm"], arrays["instance_left"]
-        K, focal_baseline = np.array(calib["K"], float), calib["K"][0][0] * calib["baseline_mm"] / 1000
+        K, focal_baseline = (
+            np.array(calib["K"], float),
+            calib["K"][0][0] * calib["baseline_mm"] / 1000,
+        )
     else:
         depth, instance = arrays["depth_left_rect_mm"], arrays["instance_left_rect"]
         reference = calib["reference_rectification"]
@@ -93,7 +110,9 @@ def _truth(name: str, calib: dict[str, Any], truth: dict[str, Any], arrays: dict
     normal = np.array(truth["T_world_screen"], float)[:3, 2]
     lumps = {lump["id"]: lump for lump in truth["lumps"]}
     opening = truth["clear_opening_mm"] / 1000
-    whole = Truth(name, depth / 1000, instance.astype(np.int32), K, focal_baseline, lumps, opening, normal)
+    whole = Truth(
+        name, depth / 1000, instance.astype(np.int32), K, focal_baseline, lumps, opening, normal
+    )
     if missing := [key for id_ in whole.wanted for key in LUMP_KEYS if key not in lumps[id_]]:
         raise KeyError(missing[0])
     return whole

@@ -1,4 +1,6 @@
-"""Made-up measurements with exact truth: ray-cast ore on a grizzly, and the published experiment's cloud."""
+"""Made-up measurements with exact truth: ray-cast ore on a grizzly, and the published experiment's
+cloud.
+"""
 
 from stereo_ore.lab.synth.families import FAMILIES, sample_spec
 from stereo_ore.lab.synth.files import write

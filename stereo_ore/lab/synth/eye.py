@@ -19,16 +19,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Eye:
-    """A camera of (W, H) pixels with its pose in the screen frame; distortion is that of `camera`."""
+    """A camera of (W, H) pixels with its pose in the screen frame; distortion is that of
+    `camera`.
+    """
 
     camera: CameraModel
     size: tuple[int, int]
     T_screen_eye: F64
 
-    def rays(self, rows: range, columns: range | None = None, offset: tuple[float, float] = (0.0, 0.0)) -> F32:
+    def rays(
+        self, rows: range, columns: range | None = None, offset: tuple[float, float] = (0.0, 0.0)
+    ) -> F32:
         """Rays (rows, columns, 6) in the screen frame through pixel centres moved by `offset`.
 
-        Directions have z_eye = 1, so that the distance along a ray is depth. All columns are taken by default.
+        Directions have z_eye = 1, so that the distance along a ray is depth. All columns are taken
+        by default.
         """
         u = np.array(range(self.size[0]) if columns is None else columns, np.float64) + offset[0]
         v = np.array(rows, np.float64) + offset[1]
@@ -40,7 +45,10 @@ class Eye:
             rays[..., 3:] = (xy @ R[:, :2].T + R[:, 2]).astype(np.float32)
         else:
             (fx, fy), (cx, cy) = self.camera.focal_px, self.camera.principal_point_px
-            across, down = (u - cx)[:, None] / fx * R[:, 0], (v - cy)[:, None] / fy * R[:, 1] + R[:, 2]
+            across, down = (
+                (u - cx)[:, None] / fx * R[:, 0],
+                (v - cy)[:, None] / fy * R[:, 1] + R[:, 2],
+            )
             np.add(across.astype(np.float32), down.astype(np.float32)[:, None], out=rays[..., 3:])
         return rays
 
@@ -50,20 +58,28 @@ class Eye:
         from scipy.interpolate import RectBivariateSpline
 
         u, v = (np.arange(-8.0, side + 16, 8) for side in self.size)
-        xy = undistorted(self.camera, np.stack(np.meshgrid(u, v), -1).reshape(-1, 2)).reshape(len(v), len(u), 2)
+        xy = undistorted(self.camera, np.stack(np.meshgrid(u, v), -1).reshape(-1, 2)).reshape(
+            len(v), len(u), 2
+        )
         return tuple(RectBivariateSpline(v, u, xy[..., k]) for k in (0, 1))
 
 
 def undistorted(camera: CameraModel, pixels: F64) -> F64:
-    """Normalised coordinates (N, 2) that the lens model projects to pixels (N, 2), to about 1e-4 px.
+    """Normalised coordinates (N, 2) that the lens model projects to pixels (N, 2), to about 1e-4
+    px.
 
-    `cv2.undistortPoints` stops after five steps, up to half a pixel off in the corners; thirty more are made here.
+    `cv2.undistortPoints` stops after five steps, up to half a pixel off in the corners; thirty more
+    are made here.
     """
     distortion, focal = np.array(camera.distortion), np.array(camera.focal_px)
-    xy = np.asarray(cv2.undistortPoints(pixels.reshape(-1, 1, 2), camera.K, distortion), np.float64).reshape(-1, 2)
+    xy = np.asarray(
+        cv2.undistortPoints(pixels.reshape(-1, 1, 2), camera.K, distortion), np.float64
+    ).reshape(-1, 2)
     for _ in range(30):
         rays = np.concatenate([xy, np.ones((len(xy), 1))], 1)
-        projected = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), camera.K, distortion)[0].reshape(-1, 2)
+        projected = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), camera.K, distortion)[
+            0
+        ].reshape(-1, 2)
         xy = xy + (pixels - projected) / focal
     return xy
 

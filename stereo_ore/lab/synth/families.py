@@ -1,4 +1,6 @@
-"""Scenes drawn from a seed: real-size screens, the published experiment's table, and harder cases of both."""
+"""Scenes drawn from a seed: real-size screens, the published experiment's table, and harder cases
+of both.
+"""
 
 from __future__ import annotations
 
@@ -20,9 +22,13 @@ SHADE, OVERCAST, INDOORS = (0.234, 0.27, 0.336), (0.95, 1.0, 1.06), (0.4, 0.4, 0
 
 
 def sample_spec(seed: int, family: str = "large", size: str = "HD720") -> SceneSpec:
-    """A random scene: large, paper, hard (low light, wet, dust in turn), raw (distorted eyes) or empty (no lump)."""
+    """A random scene: large, paper, hard (low light, wet, dust in turn), raw (distorted eyes) or
+    empty (no lump).
+    """
     if family not in FAMILIES:
-        raise ConfigError(f"{family!r} is no family", key="family", remedy=f"Choose from {', '.join(FAMILIES)}")
+        raise ConfigError(
+            f"{family!r} is no family", key="family", remedy=f"Choose from {', '.join(FAMILIES)}"
+        )
     rng = np.random.default_rng([seed, FAMILIES.index(family)])
     small = family == "paper" or (family in ("raw", "empty") and rng.random() < SMALL_SHARE)
     spec = (_paper if small else _large)(rng, seed, family, size)
@@ -41,7 +47,9 @@ def _large(rng: np.random.Generator, seed: int, family: str, size: str) -> Scene
     lights, sky = _daylight(rng)
     camera, sensor = _camera(rng, (1.8, 3.3), 0.25), _sensor(rng)
     lumps = int(rng.integers(5, 13))
-    return SceneSpec(seed, family, size, screen, lumps, (0.2, 0.9), _tilt(rng), camera, lights, sky, sensor)
+    return SceneSpec(
+        seed, family, size, screen, lumps, (0.2, 0.9), _tilt(rng), camera, lights, sky, sensor
+    )
 
 
 def _paper(rng: np.random.Generator, seed: int, family: str, size: str) -> SceneSpec:
@@ -53,7 +61,20 @@ def _paper(rng: np.random.Generator, seed: int, family: str, size: str) -> Scene
     lights, sky = tuple(_lamp(rng) for _ in range(rng.integers(1, 3))), (0.35, 0.34, 0.32)
     camera, sensor = _camera(rng, (0.78, 0.95), 0.05), _sensor(rng)
     lumps, sizes = int(rng.integers(5, 12)), (0.08, 0.25)
-    return SceneSpec(seed, family, size, screen, lumps, sizes, _tilt(rng), camera, lights, sky, sensor, table=True)
+    return SceneSpec(
+        seed,
+        family,
+        size,
+        screen,
+        lumps,
+        sizes,
+        _tilt(rng),
+        camera,
+        lights,
+        sky,
+        sensor,
+        table=True,
+    )
 
 
 def _harden(spec: SceneSpec, rng: np.random.Generator) -> SceneSpec:
@@ -74,7 +95,9 @@ def _camera(rng: np.random.Generator, height: tuple[float, float], wander: float
     yaw, roll = rng.uniform(-25, 25) + 180 * rng.integers(2), rng.normal(0, 2)
     x, y = rng.normal(0, wander, 2)
     angles = [float(a) for a in np.radians([pitch, yaw, roll])]
-    return Camera(float(rng.uniform(*height)), angles[0], angles[1], angles[2], (float(x), float(y)))
+    return Camera(
+        float(rng.uniform(*height)), angles[0], angles[1], angles[2], (float(x), float(y))
+    )
 
 
 def _sensor(rng: np.random.Generator) -> Sensor:

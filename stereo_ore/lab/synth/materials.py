@@ -1,4 +1,6 @@
-"""What surfaces look like: reflectance, relief and gloss at surface points, evaluated in the body's own frame."""
+"""What surfaces look like: reflectance, relief and gloss at surface points, evaluated in the body's
+own frame.
+"""
 
 from __future__ import annotations
 
@@ -15,10 +17,11 @@ VEIN_RGB, CRACK_RGB = np.array([[0.62, 0.60, 0.55], [0.06, 0.06, 0.055]], np.flo
 
 @dataclass(frozen=True)
 class Material:
-    """Texture, mean reflectance, contrast of its tone, gloss, strength of veins, and the colour of bare patches.
+    """Texture, mean reflectance, contrast of its tone, gloss, strength of veins, and the colour of
+    bare patches.
 
-    Reflectance is rgb·exp(contrast·tone). Veins are light where `vein` is positive, dark cracks where it is
-    negative; `second` shows through where the tone is high.
+    Reflectance is rgb·exp(contrast·tone). Veins are light where `vein` is positive, dark cracks
+    where it is negative; `second` shows through where the tone is high.
     """
 
     texture: Texture
@@ -30,7 +33,9 @@ class Material:
     second: tuple[float, float, float] | None = None
 
 
-def make_materials(rng: np.random.Generator, model: Model, pixel_m: float, wet: float) -> dict[str, Material]:
+def make_materials(
+    rng: np.random.Generator, model: Model, pixel_m: float, wet: float
+) -> dict[str, Material]:
     """Materials of a model, their texels about half a pixel (`pixel_m`) wide at the screen."""
     fine, small = 0.5 * pixel_m, pixel_m < 0.003
     steel = make_texture(rng, fine, 0.9, 14.0, 0.10)
@@ -48,11 +53,15 @@ def make_materials(rng: np.random.Generator, model: Model, pixel_m: float, wet: 
         rgb, contrast, stretch = ORES[ore]
         texture = make_texture(rng, fine, 1.0, stretch, 0.55)
         tone = tuple(np.array(rgb) * rng.uniform(0.85, 1.15) * rng.uniform(0.96, 1.04, 3))
-        known[ore] = Material(texture, tone, contrast, 0.04 + 0.9 * wet, 12.0 + 70.0 * wet, rng.uniform(0, 0.5))
+        known[ore] = Material(
+            texture, tone, contrast, 0.04 + 0.9 * wet, 12.0 + 70.0 * wet, rng.uniform(0, 0.5)
+        )
     return known
 
 
-def surface(materials: dict[str, Material], part: Part, xyz: F32, normals: F32) -> tuple[F32, F32, float | F32, float]:
+def surface(
+    materials: dict[str, Material], part: Part, xyz: F32, normals: F32
+) -> tuple[F32, F32, float | F32, float]:
     """Reflectance (N, 3), relief normals (N, 3), gloss and shininess at points of a part."""
     material = materials[part.material]
     R = part.R.astype(np.float32)
@@ -71,9 +80,13 @@ def surface(materials: dict[str, Material], part: Part, xyz: F32, normals: F32) 
 
 
 def _paint(material: Material, q: F32, n: F32) -> tuple[F32, F32]:
-    """Reflectance and relief slope (N, 3) of a material at points and normals of a body's own frame."""
+    """Reflectance and relief slope (N, 3) of a material at points and normals of a body's own
+    frame.
+    """
     tone, vein, slope = sample(material.texture, q, n)
-    rgb = np.array(material.rgb, np.float32) * np.exp(material.contrast * tone.clip(-3, 2.5))[:, None]
+    rgb = (
+        np.array(material.rgb, np.float32) * np.exp(material.contrast * tone.clip(-3, 2.5))[:, None]
+    )
     if material.second:
         bare = (1 / (1 + np.exp(-4 * (tone - 0.7))))[:, None]
         rgb = rgb * (1 - bare) + bare * np.array(material.second, np.float32)

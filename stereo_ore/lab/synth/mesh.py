@@ -31,7 +31,9 @@ def merge(meshes: Sequence[Mesh]) -> Mesh:
     starts = np.cumsum([0] + [len(m.vertices) for m in meshes[:-1]])
     return Mesh(
         np.concatenate([m.vertices for m in meshes]),
-        np.concatenate([m.triangles + np.int32(s) for m, s in zip(meshes, starts, strict=True)]).astype(np.int32),
+        np.concatenate(
+            [m.triangles + np.int32(s) for m, s in zip(meshes, starts, strict=True)]
+        ).astype(np.int32),
     )
 
 
@@ -64,7 +66,9 @@ def _split(vertices: F64, triangles: I32) -> tuple[F64, I32]:
     middle /= np.linalg.norm(middle, axis=1, keepdims=True) / np.linalg.norm(vertices[0])
     ab, bc, ca = (len(vertices) + inverse.reshape(-1, 3)).T
     a, b, c = triangles.T
-    faces = np.stack([np.stack(f, 1) for f in ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))], 1)
+    faces = np.stack(
+        [np.stack(f, 1) for f in ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))], 1
+    )
     return np.concatenate([vertices, middle]), faces.reshape(-1, 3)
 
 
@@ -77,22 +81,36 @@ def box(low: Sequence[float], high: Sequence[float], cell: float) -> Mesh:
         for at, flip in ((lo, True), (hi, False)):
             origin = lo.copy()
             origin[axis] = at[axis]
-            faces.append(rectangle(origin, np.eye(3)[u] * (hi - lo)[u], np.eye(3)[v] * (hi - lo)[v], cell, flip=flip))
+            faces.append(
+                rectangle(
+                    origin,
+                    np.eye(3)[u] * (hi - lo)[u],
+                    np.eye(3)[v] * (hi - lo)[v],
+                    cell,
+                    flip=flip,
+                )
+            )
     return merge(faces)
 
 
 def rectangle(origin: F64, side_u: F64, side_v: F64, cell: float, flip: bool = False) -> Mesh:
-    """The rectangle origin + a·side_u + b·side_v, 0 ≤ a, b ≤ 1, facing along side_u × side_v (or against it)."""
+    """The rectangle origin + a·side_u + b·side_v, 0 ≤ a, b ≤ 1, facing along side_u × side_v (or
+    against it).
+    """
     nu, nv = (max(1, int(np.ceil(np.linalg.norm(s) / cell))) for s in (side_u, side_v))
     a, b = np.meshgrid(np.linspace(0, 1, nu + 1), np.linspace(0, 1, nv + 1), indexing="ij")
     vertices = origin + a.reshape(-1, 1) * side_u + b.reshape(-1, 1) * side_v
     i = (np.arange(nu)[:, None] * (nv + 1) + np.arange(nv)).ravel()
-    triangles = np.concatenate([np.stack([i, i + nv + 1, i + nv + 2], 1), np.stack([i, i + nv + 2, i + 1], 1)])
+    triangles = np.concatenate(
+        [np.stack([i, i + nv + 1, i + nv + 2], 1), np.stack([i, i + nv + 2, i + 1], 1)]
+    )
     return Mesh(vertices, (triangles[:, ::-1] if flip else triangles).astype(np.int32))
 
 
 def volume_and_centre(mesh: Mesh) -> tuple[float, F64]:
-    """Volume [m³] and centre of mass (3,) [m] of a closed mesh: the sum over signed tetrahedra to the origin."""
+    """Volume [m³] and centre of mass (3,) [m] of a closed mesh: the sum over signed tetrahedra to
+    the origin.
+    """
     a, b, c = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
     six_volumes = np.einsum("ij,ij->i", a, np.cross(b, c))
     total = six_volumes.sum()
@@ -102,8 +120,9 @@ def volume_and_centre(mesh: Mesh) -> tuple[float, F64]:
 def callipers(mesh: Mesh) -> tuple[F64, float, float]:
     """Sorted sides of the smallest box around a mesh, and its longest and shortest calliper [m].
 
-    The box and the shortest calliper are sought over the normals of the convex hull, one a cell of 7°, the box's other
-    two directions in steps of 3°, then 0.2° for the best: within about half a percent of the exact values.
+    The box and the shortest calliper are sought over the normals of the convex hull, one a cell of
+    7°, the box's other two directions in steps of 3°, then 0.2° for the best: within about half a
+    percent of the exact values.
     """
     from scipy.spatial import ConvexHull
 
@@ -119,13 +138,17 @@ def callipers(mesh: Mesh) -> tuple[F64, float, float]:
 
 
 def _boxes(points: F64, normals: F64, degrees: F64) -> tuple[F64, F64]:
-    """Widths (M,) of points along normals (M, 3), and sides (angles, M, 3) of boxes turned about each normal."""
+    """Widths (M,) of points along normals (M, 3), and sides (angles, M, 3) of boxes turned about
+    each normal.
+    """
     u = np.cross(normals, np.eye(3)[np.abs(normals).argmin(1)])
     u /= np.linalg.norm(u, axis=1, keepdims=True)
     a, b = u @ points.T, np.cross(normals, u) @ points.T
     widths = np.ptp(normals @ points.T, axis=1)
     turns = [(np.cos(t), np.sin(t)) for t in np.radians(degrees)]
-    sides = [(widths, np.ptp(a * c + b * s, axis=1), np.ptp(b * c - a * s, axis=1)) for c, s in turns]
+    sides = [
+        (widths, np.ptp(a * c + b * s, axis=1), np.ptp(b * c - a * s, axis=1)) for c, s in turns
+    ]
     return widths, np.array(sides).transpose(0, 2, 1)
 
 
@@ -145,7 +168,9 @@ def ray_caster(mesh: Mesh) -> RayCaster:
 
     scene = o3d.t.geometry.RaycastingScene()
     tensor = o3d.core.Tensor.from_numpy
-    scene.add_triangles(tensor(mesh.vertices.astype(np.float32)), tensor(mesh.triangles.astype(np.uint32)))
+    scene.add_triangles(
+        tensor(mesh.vertices.astype(np.float32)), tensor(mesh.triangles.astype(np.uint32))
+    )
     return cast_type(RayCaster, scene)
 
 

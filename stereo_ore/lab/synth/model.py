@@ -1,4 +1,6 @@
-"""The scene as one triangle mesh whose triangles know their part: material, instance, texture frame."""
+"""The scene as one triangle mesh whose triangles know their part: material, instance, texture
+frame.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,9 @@ class Lump:
 
 @dataclass(frozen=True)
 class Model:
-    """All parts merged, in the screen frame, with a ray caster and the open sky seen from each vertex (V,) 0…1."""
+    """All parts merged, in the screen frame, with a ray caster and the open sky seen from each
+    vertex (V,) 0…1.
+    """
 
     parts: tuple[Part, ...]
     lumps: tuple[Lump, ...]
@@ -72,10 +76,20 @@ def build(spec: SceneSpec) -> Model:
     for k, lump in enumerate(lumps):
         parts.append(Part(lump.mesh, lump.ore, FIRST_LUMP + k, lump.R, rng.uniform(0, 5, 3)))
     whole = merge([p.mesh for p in parts])
-    part_of = np.repeat(np.arange(len(parts), dtype=np.int32), [len(p.mesh.triangles) for p in parts])
+    part_of = np.repeat(
+        np.arange(len(parts), dtype=np.int32), [len(p.mesh.triangles) for p in parts]
+    )
     caster = ray_caster(whole)
     sky = _sky_share(whole, caster, rng, reach=2.0 * max(spec.screen.size))
-    return Model(tuple(parts), tuple(lumps), whole.vertices.astype(np.float32), whole.triangles, part_of, sky, caster)
+    return Model(
+        tuple(parts),
+        tuple(lumps),
+        whole.vertices.astype(np.float32),
+        whole.triangles,
+        part_of,
+        sky,
+        caster,
+    )
 
 
 def _part(mesh: Mesh, material: str, instance: int) -> Part:
@@ -89,7 +103,10 @@ def _lumps(spec: SceneSpec, steel: Mesh, rng: np.random.Generator) -> list[Lump]
     shapes = [str(s) for s in rng.choice(list(PROPORTIONS), spec.lumps)]
     kinds = [str(s) for s in rng.choice(list(ORES), 2, replace=False)]
     ores = [str(s) for s in rng.choice(kinds, spec.lumps, p=[0.65, 0.35])]
-    meshes = [rock(rng, shape, size, angular=spec.angular) for shape, size in zip(shapes, sizes, strict=True)]
+    meshes = [
+        rock(rng, shape, size, angular=spec.angular)
+        for shape, size in zip(shapes, sizes, strict=True)
+    ]
     half, beam = np.array(spec.screen.size) / 2, spec.screen.frame_width
     field = HeightField.over((half[0] + beam, half[1] + beam), 0.1 * spec.screen.bar_width)
     field.add(steel)
@@ -102,7 +119,9 @@ def _surroundings(spec: SceneSpec, rng: np.random.Generator) -> list[tuple[Mesh,
     """Floor, walls of the hall, pit and rubble."""
     screen, reach = spec.screen, 3.2 * max(spec.screen.size)
     stone = (0.035 if spec.table else 0.16) * rng.uniform(0.8, 1.2)
-    rubble = grizzly.rubble(screen, rng, stone, 500 if spec.table else 700, heap=0.12 if spec.table else 0.35)
+    rubble = grizzly.rubble(
+        screen, rng, stone, 500 if spec.table else 700, heap=0.12 if spec.table else 0.35
+    )
     corners = np.array([(-1.0, -1), (-1, 1), (1, 1), (1, -1)]) * reach
     low, up = -screen.pit_depth - 0.1, np.array([0, 0, reach])
     walls = [
@@ -125,7 +144,9 @@ def _surroundings(spec: SceneSpec, rng: np.random.Generator) -> list[tuple[Mesh,
     return [(merge([ground, *walls]), "earth"), (grizzly.pit(screen), "rust"), (rubble, "rubble")]
 
 
-def _sky_share(mesh: Mesh, caster: RayCaster, rng: np.random.Generator, reach: float, rays: int = 16) -> F32:
+def _sky_share(
+    mesh: Mesh, caster: RayCaster, rng: np.random.Generator, reach: float, rays: int = 16
+) -> F32:
     """Cosine-weighted share of unblocked directions above each vertex, within `reach`."""
     normals = vertex_normals(mesh)
     directions = rng.normal(size=(rays, 3))

@@ -1,4 +1,6 @@
-"""Outliers planted on clean clouds, in units of the cloud's own spacing: the published experiment's, and others."""
+"""Outliers planted on clean clouds, in units of the cloud's own spacing: the published
+experiment's, and others.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,8 @@ from stereo_ore.lab.synth.paper_cloud import OFFSET_MAX_M, OFFSET_MEAN_M, OFFSET
 from stereo_ore.types import F64, Mask
 
 PAPER_SPACING_M = 0.00596
-"""Median over the paper's clean surface of the mean distance to 8 neighbours: what its offsets are measured in here."""
+"""Median over the paper's clean surface of the mean distance to 8 neighbours: what its offsets are
+measured in here."""
 
 Rng = np.random.Generator
 
@@ -28,8 +31,8 @@ def plant(rng: Rng, xyz: F64, share: float, kind: str) -> tuple[F64, Mask]:
     share : float
         Of outliers among all points, 0…1.
     kind : str
-        "isotropic", "normal", "ray": points moved by the offsets of `paper_cloud`; "flyers": by far more along the
-        ray; "clumps", "dust", "ghost": points added.
+        "isotropic", "normal", "ray": points moved by the offsets of `paper_cloud`; "flyers": by far
+        more along the ray; "clumps", "dust", "ghost": points added.
 
     Returns
     -------
@@ -75,7 +78,9 @@ def view_rays(xyz: F64) -> F64:
     """Unit vectors (N, 3) from a viewer in front of the cloud, a bit beside its middle."""
     extent = np.ptp(xyz, axis=0)
     out_of = np.eye(3)[int(np.argmin(extent))]
-    rays = xyz - (np.median(xyz, axis=0) + (out_of * 1.3 + np.roll(out_of, 1) * 0.15) * extent.max())
+    rays = xyz - (
+        np.median(xyz, axis=0) + (out_of * 1.3 + np.roll(out_of, 1) * 0.15) * extent.max()
+    )
     return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
 
@@ -100,8 +105,12 @@ def _clumps(rng: Rng, xyz: F64, unit: float, count: int) -> F64:
     parts: list[F64] = []
     while sum(map(len, parts)) < count:
         size, axis = int(rng.integers(4, 41)), rng.normal(size=3)
-        centre = xyz[rng.integers(len(xyz))] + axis / np.linalg.norm(axis) * rng.uniform(4, 15) * unit
-        parts.append(centre + rng.normal(size=(size, 3)) * unit * rng.uniform(0.4, 1.2) * np.cbrt(size) / 2)
+        centre = (
+            xyz[rng.integers(len(xyz))] + axis / np.linalg.norm(axis) * rng.uniform(4, 15) * unit
+        )
+        parts.append(
+            centre + rng.normal(size=(size, 3)) * unit * rng.uniform(0.4, 1.2) * np.cbrt(size) / 2
+        )
     return np.vstack([np.empty((0, 3)), *parts])[:count]
 
 
@@ -111,9 +120,15 @@ def _dust(rng: Rng, xyz: F64, unit: float, count: int, margin: float = 20.0) -> 
 
 
 def _ghost(rng: Rng, xyz: F64, unit: float, count: int) -> F64:
-    """A thin copy of parts of the cloud, 4 to 8 spacings in front of it, as multiple paths of light make."""
+    """A thin copy of parts of the cloud, 4 to 8 spacings in front of it, as multiple paths of light
+    make.
+    """
     rows = rng.integers(len(xyz), size=count)
-    return xyz[rows] - view_rays(xyz)[rows] * rng.uniform(4, 8, (count, 1)) * unit + rng.normal(size=(count, 3)) * unit
+    return (
+        xyz[rows]
+        - view_rays(xyz)[rows] * rng.uniform(4, 8, (count, 1)) * unit
+        + rng.normal(size=(count, 3)) * unit
+    )
 
 
 ADDED: Mapping[str, Callable[[Rng, F64, float, int], F64]] = {

@@ -1,4 +1,6 @@
-"""The published experiment's test cloud, as far as it is described, with the truth it came without."""
+"""The published experiment's test cloud, as far as it is described, with the truth it came
+without.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,10 @@ Direction = Literal["isotropic", "normal", "ray"]
 
 
 def paper_cloud(
-    seed: int, direction: Direction = "isotropic", noise_share: float = 0.148, min_offset_m: float = 0.0
+    seed: int,
+    direction: Direction = "isotropic",
+    noise_share: float = 0.148,
+    min_offset_m: float = 0.0,
 ) -> tuple[F64, Mask]:
     """Ore on bars as one camera sees it, some points moved off the surface.
 
@@ -81,7 +86,11 @@ def _surface(seed: int) -> tuple[F64, F64, F64]:
     low, span = points[:, :3].min(0), np.ptp(points[:, :3], axis=0)
     stretch = np.array(EXTENT_M) / span
     normals = points[:, 3:6] / stretch
-    return (points[:, :3] - low) * stretch, normals / np.linalg.norm(normals, axis=1, keepdims=True), points[:, 6:]
+    return (
+        (points[:, :3] - low) * stretch,
+        normals / np.linalg.norm(normals, axis=1, keepdims=True),
+        points[:, 6:],
+    )
 
 
 def _ore_on_bars(rng: np.random.Generator) -> Mesh:
@@ -99,10 +108,14 @@ def _ore_on_bars(rng: np.random.Generator) -> Mesh:
 
 
 def _cast(surface: Mesh, spacing: float) -> F64:
-    """Points, normals and rays (N, 9) seen through a grid in the bar tops' plane, no deeper than 40 mm."""
+    """Points, normals and rays (N, 9) seen through a grid in the bar tops' plane, no deeper than 40
+    mm.
+    """
     half = np.array(EXTENT_M[:2]) / 2 - 1e-5
     x, y = (np.linspace(-h, h, round(2 * h / spacing) + 1) for h in half)
-    target = np.stack([*np.meshgrid(x, y, indexing="ij"), np.zeros((len(x), len(y)))], -1).reshape(-1, 3)
+    target = np.stack([*np.meshgrid(x, y, indexing="ij"), np.zeros((len(x), len(y)))], -1).reshape(
+        -1, 3
+    )
     rays = target - EYE_M
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     origin = np.broadcast_to(EYE_M, rays.shape)

@@ -1,4 +1,6 @@
-"""Laying lumps on the screen: each falls until it touches, then rolls downhill until its centre can't sink further."""
+"""Laying lumps on the screen: each falls until it touches, then rolls downhill until its centre
+can't sink further.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ ROUNDS, PROPOSALS = 30, 12
 
 @dataclass
 class HeightField:
-    """Height [m] of what lies highest above each cell of a grid in the screen's plane; −1 where nothing does."""
+    """Height [m] of what lies highest above each cell of a grid in the screen's plane; −1 where
+    nothing does.
+    """
 
     x0: float
     y0: float
@@ -47,10 +51,14 @@ class HeightField:
         x, y = np.meshgrid(self.x0 + i * self.cell, self.y0 + j * self.cell, indexing="ij")
         top = float(high[2]) + 0.01
         down = np.broadcast_to([0.0, 0.0, -1.0], (*x.shape, 3))
-        rays = np.concatenate([np.stack([x, y, np.full_like(x, top)], -1), down], -1).astype(np.float32)
+        rays = np.concatenate([np.stack([x, y, np.full_like(x, top)], -1), down], -1).astype(
+            np.float32
+        )
         height = top - cast(ray_caster(mesh), rays)["t_hit"]
         patch = np.ix_(i, j)
-        self.heights[patch] = np.maximum(self.heights[patch], np.where(np.isfinite(height), height, -1.0))
+        self.heights[patch] = np.maximum(
+            self.heights[patch], np.where(np.isfinite(height), height, -1.0)
+        )
 
     def _cells(self, low: float, high: float, start: float, count: int) -> I32:
         first, last = np.floor((low - start) / self.cell), np.ceil((high - start) / self.cell)
@@ -58,15 +66,20 @@ class HeightField:
 
 
 def drop(points: F64, field: HeightField) -> F64:
-    """How far down (...,) each body of (..., V, 3) points may move until one point touches the field [m]."""
+    """How far down (...,) each body of (..., V, 3) points may move until one point touches the
+    field [m].
+    """
     return np.asarray((points[..., 2] - field.at(points[..., :2])).min(-1))
 
 
-def settle(mesh: Mesh, field: HeightField, R: F64, xy: F64, rng: np.random.Generator) -> tuple[F64, F64]:
-    """Rotation and position (3,) of a body, centre of mass in its origin, that came to rest on the field.
+def settle(
+    mesh: Mesh, field: HeightField, R: F64, xy: F64, rng: np.random.Generator
+) -> tuple[F64, F64]:
+    """Rotation and position (3,) of a body, centre of mass in its origin, that came to rest on the
+    field.
 
-    Potential energy is the height of the centre; a body rests where no small turn or shift lowers it. Proposals
-    shrink from 12° and 6 % of the size to a tenth of that, and lower ones are taken.
+    Potential energy is the height of the centre; a body rests where no small turn or shift lowers
+    it. Proposals shrink from 12° and 6 % of the size to a tenth of that, and lower ones are taken.
     """
     coarse = mesh.vertices[: len(icosphere(3).vertices)]
     size = float(np.linalg.norm(np.ptp(coarse, axis=0)))
@@ -90,7 +103,9 @@ def _placed(points: F64, turns: F64, places: F64) -> F64:
 
 
 def _small_rotations(rng: np.random.Generator, angle: float, count: int) -> F64:
-    """Rotations (count, 3, 3) about random axes by normally distributed angles (Rodrigues' formula)."""
+    """Rotations (count, 3, 3) about random axes by normally distributed angles (Rodrigues'
+    formula).
+    """
     axis = rng.normal(size=(count, 3))
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
     a = rng.normal(0, angle, count)[:, None, None]
@@ -100,7 +115,8 @@ def _small_rotations(rng: np.random.Generator, angle: float, count: int) -> F64:
 
 
 def supported(mesh: Mesh, field: HeightField, R: F64, t: F64) -> bool:
-    """Whether the centre of mass lies over the hull of the points that touch the field, within 3 % of the size.
+    """Whether the centre of mass lies over the hull of the points that touch the field, within 3 %
+    of the size.
 
     The hull is tested by its reach in 16 directions from the centre.
     """
@@ -113,17 +129,24 @@ def supported(mesh: Mesh, field: HeightField, R: F64, t: F64) -> bool:
 
 
 def pile(
-    meshes: Sequence[Mesh], field: HeightField, spread: tuple[float, float], rng: np.random.Generator, sink_m: float
+    meshes: Sequence[Mesh],
+    field: HeightField,
+    spread: tuple[float, float],
+    rng: np.random.Generator,
+    sink_m: float,
 ) -> list[tuple[int, F64, F64]]:
-    """Index and rest pose (R, t) of meshes laid one after another within |x|, |y| ≤ spread; the field grows with them.
+    """Index and rest pose (R, t) of meshes laid one after another within |x|, |y| ≤ spread; the
+    field grows with them.
 
-    A body that rolls off the screen, falls between the bars (its centre lower than `sink_m` above them) or finds no
-    support is dropped again; one that does so six times is left out.
+    A body that rolls off the screen, falls between the bars (its centre lower than `sink_m` above
+    them) or finds no support is dropped again; one that does so six times is left out.
     """
     poses = []
     for index, mesh in enumerate(meshes):
         for _ in range(6):
-            R, t = _come_to_rest(mesh, field, _flat_rotation(rng), _spot(mesh, field, spread, rng), rng)
+            R, t = _come_to_rest(
+                mesh, field, _flat_rotation(rng), _spot(mesh, field, spread, rng), rng
+            )
             inside = bool((np.abs(t[:2]) <= np.array(spread)).all())
             if inside and t[2] > sink_m and supported(mesh, field, R, t):
                 field.add(mesh.moved(R, t))
@@ -132,7 +155,9 @@ def pile(
     return poses
 
 
-def _come_to_rest(mesh: Mesh, field: HeightField, R: F64, xy: F64, rng: np.random.Generator) -> tuple[F64, F64]:
+def _come_to_rest(
+    mesh: Mesh, field: HeightField, R: F64, xy: F64, rng: np.random.Generator
+) -> tuple[F64, F64]:
     """Settle, and settle on from there, up to four times, while the body finds no support."""
     for _ in range(4):
         R, t = settle(mesh, field, R, xy, rng)
@@ -142,8 +167,12 @@ def _come_to_rest(mesh: Mesh, field: HeightField, R: F64, xy: F64, rng: np.rando
     return R, t
 
 
-def _spot(mesh: Mesh, field: HeightField, spread: tuple[float, float], rng: np.random.Generator) -> F64:
-    """Where to drop a body: two of three on the emptiest of some random places, the rest anywhere."""
+def _spot(
+    mesh: Mesh, field: HeightField, spread: tuple[float, float], rng: np.random.Generator
+) -> F64:
+    """Where to drop a body: two of three on the emptiest of some random places, the rest
+    anywhere.
+    """
     places = rng.uniform(-1, 1, (12, 2)) * np.array(spread)
     if rng.random() < 1 / 3:
         return np.asarray(places[0])
@@ -154,7 +183,9 @@ def _spot(mesh: Mesh, field: HeightField, spread: tuple[float, float], rng: np.r
 
 
 def _flat_rotation(rng: np.random.Generator) -> F64:
-    """A rotation as lumps land: two of three lie down, any way round and tilted a little, the rest as they come."""
+    """A rotation as lumps land: two of three lie down, any way round and tilted a little, the rest
+    as they come.
+    """
     if rng.random() < 1 / 3:
         return random_rotation(rng)
     a = rng.uniform(0, 2 * np.pi)

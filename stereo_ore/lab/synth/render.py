@@ -48,8 +48,12 @@ def _shade(model: Model, materials: dict[str, Material], spec: SceneSpec, rays: 
     faces = hit["primitive_normals"][seen]
     normals = np.asarray(faces * np.where(dot(faces, view) < 0, np.float32(-1), np.float32(1)))
     xyz = np.asarray(rays[seen, :3] + t * directions, np.float32)
-    rgb, bent, gloss, shininess = _surfaces(model, materials, model.part_of[triangles], xyz, normals)
-    open_sky = _interpolated(model.sky_share, model.triangles[triangles], hit["primitive_uvs"][seen])
+    rgb, bent, gloss, shininess = _surfaces(
+        model, materials, model.part_of[triangles], xyz, normals
+    )
+    open_sky = _interpolated(
+        model.sky_share, model.triangles[triangles], hit["primitive_uvs"][seen]
+    )
     points = Points(xyz, view, normals, bent, open_sky[:, None], shininess)
     light, shine = sky_light(points, spec.sky)
     for lamp in spec.lights:
@@ -58,24 +62,32 @@ def _shade(model: Model, materials: dict[str, Material], spec: SceneSpec, rays: 
     sky = np.array(spec.sky, np.float32)
     out = np.tile(np.float32(0.3) * sky, (len(rays), 1))
     clear = np.exp(-np.float32(spec.haze_per_m) * t)
-    out[seen] = (rgb * light + gloss * shine) * clear + (1 - clear) * np.float32(0.45) * (sky + np.float32(0.15))
+    out[seen] = (rgb * light + gloss * shine) * clear + (1 - clear) * np.float32(0.45) * (
+        sky + np.float32(0.15)
+    )
     return out
 
 
 def _surfaces(
     model: Model, materials: dict[str, Material], part_of: I32, xyz: F32, normals: F32
 ) -> tuple[F32, F32, F32, F32]:
-    """`materials.surface` for points of all parts: reflectance, relief normals (N, 3), gloss and shininess (N, 1)."""
+    """`materials.surface` for points of all parts: reflectance, relief normals (N, 3), gloss and
+    shininess (N, 1).
+    """
     rgb, bent = np.empty_like(xyz), np.empty_like(xyz)
     gloss, shininess = np.empty((len(xyz), 1), np.float32), np.empty((len(xyz), 1), np.float32)
     for index in np.unique(part_of):
         here = np.flatnonzero(part_of == index)
         part = model.parts[index]
-        rgb[here], bent[here], gloss[here], shininess[here] = surface(materials, part, xyz[here], normals[here])
+        rgb[here], bent[here], gloss[here], shininess[here] = surface(
+            materials, part, xyz[here], normals[here]
+        )
     return rgb, bent, gloss, shininess
 
 
 def _interpolated(values: F32, corners: I32, uv: F32) -> F32:
     """Vertex values (V,) at barycentric coordinates (N, 2) of triangles with vertex ids (N, 3)."""
     u, v = uv[:, 0], uv[:, 1]
-    return np.asarray(values[corners[:, 0]] * (1 - u - v) + values[corners[:, 1]] * u + values[corners[:, 2]] * v)
+    return np.asarray(
+        values[corners[:, 0]] * (1 - u - v) + values[corners[:, 1]] * u + values[corners[:, 2]] * v
+    )

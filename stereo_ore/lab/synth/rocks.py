@@ -15,16 +15,24 @@ PROPORTIONS = {
 }
 """Longest, middle and shortest dimension of each kind of lump, before each is varied by a fifth."""
 LARGEST_RADIUS, THICKER = 1.5, (1.0, 1.08, 1.25)
-"""Of an angular rock, before it is stretched: where no plane bounds it, and how much wider its tips must lie for the
-proportions of the body."""
+"""Of an angular rock, before it is stretched: where no plane bounds it, and how much wider its tips
+must lie for the proportions of the body."""
 
 
-def rock(rng: np.random.Generator, shape: str, longest_m: float, subdivisions: int = 5, angular: bool = False) -> Mesh:
-    """A closed rock of a kind in `PROPORTIONS`, its centre of mass in the origin, its long axis along x.
+def rock(
+    rng: np.random.Generator,
+    shape: str,
+    longest_m: float,
+    subdivisions: int = 5,
+    angular: bool = False,
+) -> Mesh:
+    """A closed rock of a kind in `PROPORTIONS`, its centre of mass in the origin, its long axis
+    along x.
 
-    The distance of the skin in direction d is the smooth minimum over random planes n·x = h,
-    r(d) = (Σ max(n·d, 0)/h)^p)^(−1/p), roughened by four octaves of noise; the result is stretched to the proportions.
-    An angular one is bounded by fewer planes at less equal distances, and fills less of its box.
+    The distance of the skin in direction d is the smooth minimum over random planes n·x = h, r(d) =
+    (Σ max(n·d, 0)/h)^p)^(−1/p), roughened by four octaves of noise; the result is stretched to the
+    proportions. An angular one is bounded by fewer planes at less equal distances, and fills less
+    of its box.
     """
     sphere = icosphere(subdivisions)
     d = sphere.vertices
@@ -41,7 +49,9 @@ def rock(rng: np.random.Generator, shape: str, longest_m: float, subdivisions: i
 
 
 def _hew(rng: np.random.Generator) -> tuple[F64, F64, float]:
-    """Unit normals (P, 3) and distances (P,) of planes, those of a cube among them, and how sharp their edges are."""
+    """Unit normals (P, 3) and distances (P,) of planes, those of a cube among them, and how sharp
+    their edges are.
+    """
     count, sharpness = int(rng.integers(10, 22)), rng.uniform(22, 70)
     normals = _directions(rng, count)
     normals = np.concatenate([normals, np.eye(3), -np.eye(3)])
@@ -49,7 +59,9 @@ def _hew(rng: np.random.Generator) -> tuple[F64, F64, float]:
 
 
 def _break(rng: np.random.Generator) -> tuple[F64, F64, float]:
-    """As `_hew`, without a cube's planes; bodies so made fill 0.43 to 0.49 of their box, as crushed rock does."""
+    """As `_hew`, without a cube's planes; bodies so made fill 0.43 to 0.49 of their box, as crushed
+    rock does.
+    """
     count, sharpness = int(rng.integers(8, 15)), rng.uniform(22, 70)
     nearest = rng.uniform(0.6, 0.8)
     return _directions(rng, count), rng.uniform(nearest, 1.1, count), sharpness

@@ -23,8 +23,9 @@ from stereo_ore.types import F32, I32, Plane, Site, StereoCalibration, StereoPai
 class Scene:
     """A pair with its truth.
 
-    `depth_m` (H, W) float32, NaN where nothing was hit, and `instance` (H, W) int32 (0 background and pit, 1 grizzly,
-    2… lumps) belong to the rectified left view; `raw_depth_m` and `raw_instance` to the left image as recorded.
+    `depth_m` (H, W) float32, NaN where nothing was hit, and `instance` (H, W) int32 (0 background
+    and pit, 1 grizzly, 2… lumps) belong to the rectified left view; `raw_depth_m` and
+    `raw_instance` to the left image as recorded.
     """
 
     spec: SceneSpec
@@ -66,8 +67,10 @@ def scene(spec: SceneSpec | int, family: str = "large", size: str = "HD720") -> 
     depth, instance = depth_and_instance(model, straight)
     raw_depth, raw_instance = depth_and_instance(model, left) if spec.raw else (depth, instance)
     return Scene(
-        spec, _pair(spec, model, left, right), calibration, _site(spec, rectified), rectified, depth, instance,
-        raw_depth, raw_instance, lump_truths(spec, model, left, straight, raw_depth, raw_instance, instance),
+        spec, _pair(spec, model, left, right), calibration, _site(spec, rectified), rectified,
+        depth, instance,
+        raw_depth, raw_instance, lump_truths(spec, model, left, straight, raw_depth, raw_instance,
+        instance),
     )  # fmt: skip
 
 
@@ -78,7 +81,8 @@ def _pair(spec: SceneSpec, model: Model, left: Eye, right: Eye) -> StereoPair:
     views = [radiance(model, materials, spec, eye) for eye in (left, right)]
     gain = exposure_gain(spec.sensor, views[0])
     images = [
-        expose(spec.sensor, view, gain * factor, rng) for view, factor in zip(views, spec.sensor.gain, strict=True)
+        expose(spec.sensor, view, gain * factor, rng)
+        for view, factor in zip(views, spec.sensor.gain, strict=True)
     ]
     return StereoPair(images[0], images[1], name=spec.name, index=0)
 
@@ -87,7 +91,9 @@ def _site(spec: SceneSpec, rectified: Rectification) -> Site:
     """The site in the rectified left camera's frame; the arm's frame is the world."""
     T_arm_camera = spec.camera.T_world_left @ rectified.T_left_rectified
     T_ws, half = spec.T_world_screen, np.array(spec.screen.size) / 2
-    corners = np.array([(x, y, z) for x in (-half[0], half[0]) for y in (-half[1], half[1]) for z in (-0.15, 1.0)])
+    corners = np.array(
+        [(x, y, z) for x in (-half[0], half[0]) for y in (-half[1], half[1]) for z in (-0.15, 1.0)]
+    )
     box = corners @ T_ws[:3, :3].T + T_ws[:3, 3]
     volume = Volume(T_arm_camera, box.min(0), box.max(0))
     normal = T_arm_camera[:3, :3].T @ T_ws[:3, 2]

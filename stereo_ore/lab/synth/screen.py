@@ -13,7 +13,8 @@ from stereo_ore.types import F64
 
 @dataclass(frozen=True)
 class Screen:
-    """A grizzly in its own frame: origin in the middle of the bar tops, bars along y, z up; all lengths in metres.
+    """A grizzly in its own frame: origin in the middle of the bar tops, bars along y, z up; all
+    lengths in metres.
 
     `size` is the clear inside of the frame (x, y), whose top lies `rise` above the bars.
     """
@@ -44,12 +45,18 @@ def bars(screen: Screen) -> Mesh:
     """Bars, and the ties between them with their tops a quarter of the bar depth lower."""
     half, depth = screen.size[1] / 2, screen.bar_depth
     parts = [
-        box((x - screen.bar_width / 2, -half, -depth), (x + screen.bar_width / 2, half, 0), screen.cell)
+        box(
+            (x - screen.bar_width / 2, -half, -depth),
+            (x + screen.bar_width / 2, half, 0),
+            screen.cell,
+        )
         for x in screen.bar_centres
     ]
     reach, thick = screen.size[0] / 2, 0.2 * screen.bar_width
     for y in (np.arange(screen.ties) + 1) / (screen.ties + 1) * screen.size[1] - half:
-        parts.append(box((-reach, y - thick, -0.45 * depth), (reach, y + thick, -0.12 * depth), screen.cell))
+        parts.append(
+            box((-reach, y - thick, -0.45 * depth), (reach, y + thick, -0.12 * depth), screen.cell)
+        )
     return merge(parts)
 
 
@@ -70,7 +77,12 @@ def legs(screen: Screen) -> Mesh:
     (x, y), w = np.array(screen.size) / 2, screen.frame_width
     corners = [(sx * (x + w / 2), sy * (y + w / 2)) for sx in (-1, 1) for sy in (-1, 1)]
     low = (-screen.pit_depth, -screen.bar_depth)
-    return merge([box((a - w / 2, b - w / 2, low[0]), (a + w / 2, b + w / 2, low[1]), 0.1) for a, b in corners])
+    return merge(
+        [
+            box((a - w / 2, b - w / 2, low[0]), (a + w / 2, b + w / 2, low[1]), 0.1)
+            for a, b in corners
+        ]
+    )
 
 
 def ground(screen: Screen, level: float, reach: float) -> Mesh:
@@ -87,15 +99,24 @@ def ground(screen: Screen, level: float, reach: float) -> Mesh:
 
 def pit(screen: Screen) -> Mesh:
     """Walls and bottom of the pit."""
-    (x, y), d, cell = np.array(screen.size) / 2 + screen.frame_width * 0.4, screen.pit_depth, screen.cell
+    (x, y), d, cell = (
+        np.array(screen.size) / 2 + screen.frame_width * 0.4,
+        screen.pit_depth,
+        screen.cell,
+    )
     up = np.array([0, 0, d])
     corners = np.array([(-x, -y, -d), (x, -y, -d), (x, y, -d), (-x, y, -d)])
-    walls = [rectangle(a, b - a, up, cell, flip=True) for a, b in zip(corners, np.roll(corners, -1, 0), strict=True)]
+    walls = [
+        rectangle(a, b - a, up, cell, flip=True)
+        for a, b in zip(corners, np.roll(corners, -1, 0), strict=True)
+    ]
     return merge([*walls, _flat((-x, -y), (x, y), -d, cell)])
 
 
 def rubble(screen: Screen, rng: np.random.Generator, size: float, count: int, heap: float) -> Mesh:
-    """Stones about `size` long on the bottom, heaped up to `heap` times the pit's depth around a random middle."""
+    """Stones about `size` long on the bottom, heaped up to `heap` times the pit's depth around a
+    random middle.
+    """
     shapes = [rock(rng, kind, 1.0, 2) for kind in ("chunk", "block", "slab", "chunk", "long")]
     half, stones = np.array(screen.size) / 2, []
     middle = rng.uniform(-0.4, 0.4, 2) * half
@@ -110,5 +131,8 @@ def rubble(screen: Screen, rng: np.random.Generator, size: float, count: int, he
 
 def _flat(low: tuple[float, float], high: tuple[float, float], z: float, cell: float) -> Mesh:
     return rectangle(
-        np.array([*low, z]), np.array([high[0] - low[0], 0.0, 0.0]), np.array([0.0, high[1] - low[1], 0.0]), cell
+        np.array([*low, z]),
+        np.array([high[0] - low[0], 0.0, 0.0]),
+        np.array([0.0, high[1] - low[1], 0.0]),
+        cell,
     )

@@ -24,9 +24,11 @@ BASELINE_M = 0.12
 
 @dataclass(frozen=True)
 class Camera:
-    """Where the left eye is: so high above the world's origin, looking under a pitch below the horizon at a target.
+    """Where the left eye is: so high above the world's origin, looking under a pitch below the
+    horizon at a target.
 
-    `target` is a place (x, y) at height 0; yaw 0 looks along y; lengths in metres, angles in radians.
+    `target` is a place (x, y) at height 0; yaw 0 looks along y; lengths in metres, angles in
+    radians.
     """
 
     height: float
@@ -49,14 +51,18 @@ class Camera:
         level = np.array([cos_yaw, -sin_yaw, 0.0])
         down = np.cross(forward, level)
         T = np.eye(4)
-        T[:3, :3] = np.stack([cos_roll * level + sin_roll * down, cos_roll * down - sin_roll * level, forward], 1)
+        T[:3, :3] = np.stack(
+            [cos_roll * level + sin_roll * down, cos_roll * down - sin_roll * level, forward], 1
+        )
         T[:3, 3] = np.array([*self.target, 0.0]) - forward * self.distance
         return T
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """Exposure relative to a well lit picture, gain of the eyes, contrast, electrons at white and read noise."""
+    """Exposure relative to a well lit picture, gain of the eyes, contrast, electrons at white and
+    read noise.
+    """
 
     exposure: float = 1.0
     gain: tuple[float, float] = (1.0, 1.0)
@@ -69,9 +75,10 @@ class Sensor:
 class SceneSpec:
     """All that a scene is made from; equal specs give equal scenes.
 
-    `lump_size` are the least and greatest longest dimension [m], `tilt` the screen's two tilts [rad], `sky` its light.
-    A `table` stands on a floor; otherwise there is a pit. `raw` eyes are distorted. `wet` 0…1 makes rock shine.
-    `angular` lumps are bounded by fewer and less equal faces: see `rocks.rock`.
+    `lump_size` are the least and greatest longest dimension [m], `tilt` the screen's two tilts
+    [rad], `sky` its light. A `table` stands on a floor; otherwise there is a pit. `raw` eyes are
+    distorted. `wet` 0…1 makes rock shine. `angular` lumps are bounded by fewer and less equal
+    faces: see `rocks.rock`.
     """
 
     seed: int
@@ -94,7 +101,11 @@ class SceneSpec:
 
     def __post_init__(self) -> None:
         if self.size not in SIZES:
-            raise ConfigError(f"{self.size!r} is no image size", key="size", remedy=f"Choose from {', '.join(SIZES)}")
+            raise ConfigError(
+                f"{self.size!r} is no image size",
+                key="size",
+                remedy=f"Choose from {', '.join(SIZES)}",
+            )
 
     @property
     def name(self) -> str:
@@ -106,5 +117,7 @@ class SceneSpec:
         """Pose of the screen: turned by the two tilts about the world's origin."""
         (sa, sb), (ca, cb) = np.sin(self.tilt), np.cos(self.tilt)
         T = np.eye(4)
-        T[:3, :3] = np.array([[cb, 0, sb], [0, 1, 0], [-sb, 0, cb]]) @ np.array([[1, 0, 0], [0, ca, -sa], [0, sa, ca]])
+        T[:3, :3] = np.array([[cb, 0, sb], [0, 1, 0], [-sb, 0, cb]]) @ np.array(
+            [[1, 0, 0], [0, ca, -sa], [0, sa, ca]]
+        )
         return T

@@ -14,7 +14,8 @@ SIDE = 1024
 
 @dataclass(frozen=True)
 class Texture:
-    """A periodic map: image (SIDE, SIDE, 4) float32 of tone, vein strength, and relief slope along u and v.
+    """A periodic map: image (SIDE, SIDE, 4) float32 of tone, vein strength, and relief slope along
+    u and v.
 
     Tone has mean 0 and variance 1; `texel_m` is the size of a texel.
     """
@@ -24,9 +25,15 @@ class Texture:
 
 
 def make_texture(
-    rng: np.random.Generator, texel_m: float, slope: float = 1.0, stretch: float = 1.0, bump: float = 0.5
+    rng: np.random.Generator,
+    texel_m: float,
+    slope: float = 1.0,
+    stretch: float = 1.0,
+    bump: float = 0.5,
 ) -> Texture:
-    """A texture with amplitude falling as 1 / frequency^slope, `stretch` times longer along v; relief follows tone."""
+    """A texture with amplitude falling as 1 / frequency^slope, `stretch` times longer along v;
+    relief follows tone.
+    """
     tone = spectral_noise(rng, slope, stretch)
     fine = spectral_noise(rng, 0.6, stretch)
     vein = np.maximum(0, 1 - np.abs(spectral_noise(rng, 1.9, stretch)) * 14)
@@ -40,13 +47,17 @@ def make_texture(
 
 
 def spectral_noise(rng: np.random.Generator, slope: float, stretch: float = 1.0) -> F32:
-    """Periodic Gaussian noise (SIDE, SIDE) of variance 1 whose amplitude falls as 1 / frequency^slope."""
+    """Periodic Gaussian noise (SIDE, SIDE) of variance 1 whose amplitude falls as 1 /
+    frequency^slope.
+    """
     from scipy import fft
 
     fy, fx = np.fft.fftfreq(SIDE)[:, None] * stretch, np.fft.rfftfreq(SIDE)[None]
     frequency = np.hypot(fx, fy).astype(np.float32)
     frequency[0, 0] = 1
-    spectrum = fft.rfft2(rng.standard_normal((SIDE, SIDE), dtype=np.float32)) * frequency ** np.float32(-slope)
+    spectrum = fft.rfft2(
+        rng.standard_normal((SIDE, SIDE), dtype=np.float32)
+    ) * frequency ** np.float32(-slope)
     spectrum[0, 0] = 0
     noise = fft.irfft2(spectrum, s=(SIDE, SIDE))
     return np.asarray(noise / noise.std(), np.float32)
@@ -58,9 +69,11 @@ def dot(a: F32, b: F32) -> F32:
 
 
 def sample(texture: Texture, xyz: F32, normals: F32) -> tuple[F32, F32, F32]:
-    """Tone (N,), vein strength (N,) and relief slope (N, 3) at surface points, blended from three projections.
+    """Tone (N,), vein strength (N,) and relief slope (N, 3) at surface points, blended from three
+    projections.
 
-    The weight of the projection along an axis is the fourth power of the normal's component along it.
+    The weight of the projection along an axis is the fourth power of the normal's component along
+    it.
     """
     weight = normals**2
     weight = weight * weight

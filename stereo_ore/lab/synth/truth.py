@@ -9,7 +9,14 @@ import cv2
 import numpy as np
 
 from stereo_ore.lab.synth.eye import Eye
-from stereo_ore.lab.synth.mesh import Mesh, callipers, cast, icosphere, ray_caster, volume_and_centre
+from stereo_ore.lab.synth.mesh import (
+    Mesh,
+    callipers,
+    cast,
+    icosphere,
+    ray_caster,
+    volume_and_centre,
+)
 from stereo_ore.lab.synth.model import FIRST_LUMP, Lump, Model
 from stereo_ore.lab.synth.spec import SceneSpec
 from stereo_ore.transforms import apply, inverse
@@ -21,7 +28,9 @@ TOUCH = 0.012
 
 @dataclass(frozen=True)
 class LumpTruth:
-    """A lump: centre of mass in the world and in the recorded left camera [m], and what the left image shows of it."""
+    """A lump: centre of mass in the world and in the recorded left camera [m], and what the left
+    image shows of it.
+    """
 
     id: int
     shape: str
@@ -49,7 +58,13 @@ class LumpTruth:
 
 
 def lump_truths(
-    spec: SceneSpec, model: Model, left: Eye, straight: Eye, depth: F32, instance: I32, instance_rectified: I32
+    spec: SceneSpec,
+    model: Model,
+    left: Eye,
+    straight: Eye,
+    depth: F32,
+    instance: I32,
+    instance_rectified: I32,
 ) -> tuple[LumpTruth, ...]:
     """The truth of every lump; depth and instance (H, W) are those of the recorded left image."""
     touches = _touches(model.lumps)
@@ -61,10 +76,14 @@ def lump_truths(
         seen = instance == id_
         found.append(LumpTruth(
             id_, lump.shape, lump.ore, volume, apply(spec.T_world_screen, centre),
-            apply(inverse(left.T_screen_eye), centre), apply(inverse(straight.T_screen_eye), centre),
-            int(seen.sum()), int((instance_rectified == id_).sum()), _unoccluded(lump.mesh, left), _at_border(seen),
-            _bounds(seen), (float(depth[seen].min()), float(depth[seen].max())) if seen.any() else None,
-            dims, longest, shortest, bool(dims[1] > spec.screen.opening), tuple(FIRST_LUMP + j for j in touches[k]),
+            apply(inverse(left.T_screen_eye), centre),
+            apply(inverse(straight.T_screen_eye), centre),
+            int(seen.sum()), int((instance_rectified == id_).sum()), _unoccluded(lump.mesh, left),
+            _at_border(seen),
+            _bounds(seen), (float(depth[seen].min()),
+            float(depth[seen].max())) if seen.any() else None,
+            dims, longest, shortest, bool(dims[1] > spec.screen.opening),
+            tuple(FIRST_LUMP + j for j in touches[k]),
         ))  # fmt: skip
     return tuple(found)
 
@@ -82,7 +101,9 @@ def _unoccluded(mesh: Mesh, eye: Eye) -> int:
     if not len(xyz):
         return 0
     distortion = np.array(eye.camera.distortion) if eye.camera.distortion else None
-    uv = cv2.projectPoints(xyz, np.zeros(3), np.zeros(3), eye.camera.K, distortion)[0].reshape(-1, 2)
+    uv = cv2.projectPoints(xyz, np.zeros(3), np.zeros(3), eye.camera.K, distortion)[0].reshape(
+        -1, 2
+    )
     low = np.maximum(np.floor(uv.min(0)), 0).astype(int)
     high = np.minimum(np.ceil(uv.max(0)) + 1, eye.size).astype(int)
     rows, columns = range(low[1], max(high[1], low[1])), range(low[0], max(high[0], low[0]))
@@ -110,8 +131,13 @@ def _touches(lumps: Sequence[Lump]) -> list[list[int]]:
     for i in range(len(lumps)):
         for j in range(i):
             limit = TOUCH * min(sizes[i], sizes[j])
-            limit += 0.02 * max(sizes[i], sizes[j])  # vertices lie up to this far from the nearest other vertex
-            if np.min(trees[i].query(lumps[j].mesh.vertices, distance_upper_bound=limit)[0]) < limit:
+            limit += 0.02 * max(
+                sizes[i], sizes[j]
+            )  # vertices lie up to this far from the nearest other vertex
+            if (
+                np.min(trees[i].query(lumps[j].mesh.vertices, distance_upper_bound=limit)[0])
+                < limit
+            ):
                 near[i].append(j)
                 near[j].append(i)
     return [sorted(n) for n in near]

@@ -1,1 +1,3 @@
-"""Training of what is learned: the adaptive filter's scorers, the models of lumps, the solids' shape prior."""
+"""Training of what is learned: the adaptive filter's scorers, the models of lumps, the solids'
+shape prior.
+"""

@@ -23,12 +23,16 @@ CROP = 6000
 
 
 def bare_clouds(seeds: range, scans: Sequence[F64]) -> Iterator[LabelledCloud]:
-    """For each seed: the paper's protocol and variants of it, cropped, and `PIECES_A_SEED` pieces of other surfaces."""
+    """For each seed: the paper's protocol and variants of it, cropped, and `PIECES_A_SEED` pieces
+    of other surfaces.
+    """
     for seed in seeds:
         for labelled in _protocol(seed):
             xyz = labelled.voxels.xyz
             near = np.argsort(np.abs(xyz[:, :2] - xyz[len(xyz) // 2, :2]).max(1))[:CROP]
-            yield LabelledCloud(labelled.name, "paper", bare_cloud(xyz[near]), labelled.is_noise[near])
+            yield LabelledCloud(
+                labelled.name, "paper", bare_cloud(xyz[near]), labelled.is_noise[near]
+            )
         for piece in range(PIECES_A_SEED):
             yield _piece(np.random.default_rng([seed, piece]), scans, f"piece {seed}.{piece}")
 
@@ -45,7 +49,9 @@ def _piece(rng: np.random.Generator, scans: Sequence[F64], name: str) -> Labelle
     moved, added = (0.005, 0.1) if rng.random() < 0.5 else (0.05, 0.6), np.log([0.002, 0.25])
     share = float(rng.uniform(*moved) if kind in DIRECTIONS else np.exp(rng.uniform(*added)))
     xyz, noise = (xyz, np.zeros(len(xyz), bool)) if clean else plant(rng, xyz, share, kind)
-    return LabelledCloud(name, "clean" if clean else kind, bare_cloud(xyz - np.median(xyz, axis=0)), noise)
+    return LabelledCloud(
+        name, "clean" if clean else kind, bare_cloud(xyz - np.median(xyz, axis=0)), noise
+    )
 
 
 def _protocol(seed: int) -> Iterator[LabelledCloud]:
@@ -56,7 +62,9 @@ def _protocol(seed: int) -> Iterator[LabelledCloud]:
 
 
 def varied(seed: int, variant: int) -> LabelledCloud:
-    """A thinned, roughened and sometimes voxelised cloud, so that the scorer does not learn one scanner's pattern."""
+    """A thinned, roughened and sometimes voxelised cloud, so that the scorer does not learn one
+    scanner's pattern.
+    """
     rng = np.random.default_rng([seed, variant])
     share, least = float(rng.uniform(0.03, 0.6)), float(rng.choice([0, 0.008, 0.012]))
     xyz, noise = paper_cloud(seed, DIRECTIONS[variant % 3], share, least)
@@ -69,7 +77,9 @@ def varied(seed: int, variant: int) -> LabelledCloud:
 
 
 def _voxelised(xyz: F64, noise: Mask, size: float) -> tuple[F64, Mask]:
-    _, inverse, count = np.unique(np.floor(xyz / size), axis=0, return_inverse=True, return_counts=True)
+    _, inverse, count = np.unique(
+        np.floor(xyz / size), axis=0, return_inverse=True, return_counts=True
+    )
     inverse = inverse.ravel()
     means = np.stack([np.bincount(inverse, xyz[:, axis]) / count for axis in range(3)], 1)
     return means, np.bincount(inverse, noise) / count > 0.5

@@ -1,4 +1,6 @@
-"""Training of the confidence of disparities on pairs with truth, faults of light and noise planted in some."""
+"""Training of the confidence of disparities on pairs with truth, faults of light and noise planted
+in some.
+"""
 
 from __future__ import annotations
 
@@ -21,18 +23,22 @@ from stereo_ore.stages.matching.match import evidence, grey
 from stereo_ore.types import F32, U8, Mask, RectifiedPair
 
 PIXELS, HIDDEN, EPOCHS, FOLDS = 4000, 12, 12, 4
-"""Pixels of a view that the network learns from, its units, how often it sees each, and folds of whole sets."""
+"""Pixels of a view that the network learns from, its units, how often it sees each, and folds of
+whole sets."""
 
 EXPOSURE, VIGNETTING, GAMMA, NOISE = (0.7, 1.25), 0.35, (0.8, 1.25), (1.0, 7.0)
-"""Ranges of what is planted: the right eye's brightness over the left's, what is lost in the corners, exponent of the
-right eye's brightness, standard deviation [grey levels] of either eye's noise."""
+"""Ranges of what is planted: the right eye's brightness over the left's, what is lost in the
+corners, exponent of the right eye's brightness, standard deviation [grey levels] of either eye's
+noise."""
 
 Fault = Callable[[StereoSet, np.random.Generator], RectifiedPair]
 
 
 @dataclass(frozen=True)
 class View:
-    """Examples of one pair: witnesses (N, F), whether the disparity is right (N,); views of one set share its name."""
+    """Examples of one pair: witnesses (N, F), whether the disparity is right (N,); views of one set
+    share its name.
+    """
 
     set: str
     fault: str
@@ -42,7 +48,9 @@ class View:
 
 @dataclass(frozen=True)
 class Quality:
-    """On a set that the network did not see: area under the ROC curve, and said and true share of each tenth."""
+    """On a set that the network did not see: area under the ROC curve, and said and true share of
+    each tenth.
+    """
 
     set: str
     auc: float | None
@@ -52,19 +60,28 @@ class Quality:
 
 def _exposure(data: StereoSet, rng: np.random.Generator) -> RectifiedPair:
     bright = data.pair.right / 255.0
-    return replace(data.pair, right=_grey_levels(255 * rng.uniform(*EXPOSURE) * bright ** rng.uniform(*GAMMA)))
+    return replace(
+        data.pair, right=_grey_levels(255 * rng.uniform(*EXPOSURE) * bright ** rng.uniform(*GAMMA))
+    )
 
 
 def _vignetting(data: StereoSet, rng: np.random.Generator) -> RectifiedPair:
     height, width = data.pair.right.shape[:2]
     y, x = (np.linspace(-1, 1, side) for side in (height, width))
-    kept = 1 - VIGNETTING * rng.uniform(0.3, 1) * ((x - rng.uniform(-0.5, 0.5)) ** 2 + y[:, None] ** 2) / 2
+    kept = (
+        1
+        - VIGNETTING
+        * rng.uniform(0.3, 1)
+        * ((x - rng.uniform(-0.5, 0.5)) ** 2 + y[:, None] ** 2)
+        / 2
+    )
     return replace(data.pair, right=_grey_levels(data.pair.right * kept[..., None]))
 
 
 def _noise(data: StereoSet, rng: np.random.Generator) -> RectifiedPair:
     left, right = (
-        _grey_levels(eye + rng.normal(0, rng.uniform(*NOISE), eye.shape)) for eye in (data.pair.left, data.pair.right)
+        _grey_levels(eye + rng.normal(0, rng.uniform(*NOISE), eye.shape))
+        for eye in (data.pair.left, data.pair.right)
     )
     return replace(data.pair, left=left, right=right)
 
@@ -73,7 +90,12 @@ def _none(data: StereoSet, rng: np.random.Generator) -> RectifiedPair:
     return data.pair
 
 
-FAULTS: dict[str, Fault] = {"none": _none, "exposure": _exposure, "vignetting": _vignetting, "noise": _noise}
+FAULTS: dict[str, Fault] = {
+    "none": _none,
+    "exposure": _exposure,
+    "vignetting": _vignetting,
+    "noise": _noise,
+}
 
 
 def _grey_levels(image: np.ndarray[Any, np.dtype[np.float64]]) -> U8:
@@ -91,7 +113,9 @@ def views(sets: Iterable[StereoSet], config: MatchingConfig, seed: int = 0) -> I
 def _view(data: StereoSet, fault: str, config: MatchingConfig, rng: np.random.Generator) -> View:
     """Some pixels that left and right match agree on and whose truth is known."""
     region = matching.narrow(data.pair, data.region, data.volume, config)
-    images, compared = light.evened(sgbm.crop(grey(data.pair.left), grey(data.pair.right), region), config)
+    images, compared = light.evened(
+        sgbm.crop(grey(data.pair.left), grey(data.pair.right), region), config
+    )
     found = consistency.match_both(images, config, compared)
     values, _, witnesses = evidence(images, found, confidence.agreement(found.difference))
     error = values + np.float32(region.min_disparity) - data.truth[region.slices]
@@ -101,7 +125,9 @@ def _view(data: StereoSet, fault: str, config: MatchingConfig, rng: np.random.Ge
 
 
 def train(examples: Sequence[View], seed: int = 0) -> tuple[Network, list[Quality]]:
-    """The network of all views, and the quality of such ones on the sets that each was not shown, in `FOLDS` folds."""
+    """The network of all views, and the quality of such ones on the sets that each was not shown,
+    in `FOLDS` folds.
+    """
     names = sorted({view.set for view in examples})
     quality = []
     for k in range(min(FOLDS, len(names))):
@@ -125,8 +151,12 @@ def _judge(name: str, network: Network, seen: Sequence[View]) -> Quality:
     return Quality(name, metrics.area_under_roc(said, right), *metrics.reliability(said, right))
 
 
-def to_json(network: Network, quality: Sequence[Quality], examples: Sequence[View], seed: int) -> str:
-    """Readable text: what it was made from, how good it is on sets left out, a row of weights a line."""
+def to_json(
+    network: Network, quality: Sequence[Quality], examples: Sequence[View], seed: int
+) -> str:
+    """Readable text: what it was made from, how good it is on sets left out, a row of weights a
+    line.
+    """
     made = {
         "made_with": "stereo-ore tune --train confidence",
         "sets": sorted({view.set for view in examples}),
@@ -134,7 +164,11 @@ def to_json(network: Network, quality: Sequence[Quality], examples: Sequence[Vie
         "pixels": sum(len(view.right) for view in examples),
         "right": f"within {RIGHT_PX} px of the truth",
         "seed": seed,
-        "auc_on_sets_left_out": {each.set: round(each.auc, 3) for each in quality if each.auc is not None},
+        "auc_on_sets_left_out": {
+            each.set: round(each.auc, 3) for each in quality if each.auc is not None
+        },
     }
-    text = json.dumps({"provenance": made, "witnesses": WITNESSES, "network": asdict(network)}, indent=1)
+    text = json.dumps(
+        {"provenance": made, "witnesses": WITNESSES, "network": asdict(network)}, indent=1
+    )
     return text.replace(",\n    ", ", ").replace("[\n    ", "[").replace("\n   ]", "]") + "\n"

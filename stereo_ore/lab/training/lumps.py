@@ -25,17 +25,29 @@ from stereo_ore.stages.segment.outline import filled
 from stereo_ore.stages.segment.pixels import candidates, pixel_features
 from stereo_ore.stages.segment.view import measure_view
 from stereo_ore.stages.segment.weights import PAIR_FEATURES, PART_FEATURES, Logistic, Weights
-from stereo_ore.types import F32, F64, I32, U8, Grizzly, Mask, Site, StereoCalibration, StereoPair, Surface, Volume
+from stereo_ore.types import (
+    F32,
+    F64,
+    I32,
+    U8,
+    Grizzly,
+    Mask,
+    Site,
+    StereoCalibration,
+    StereoPair,
+    Surface,
+    Volume,
+)
 
 THRESHOLDS = (None, 0.25, 0.5)
-"""Noise probabilities of the filter at which each scene is seen; None: the filter's own, with a screen given by the
-site, with one whose bars alone are given, and with one found."""
+"""Noise probabilities of the filter at which each scene is seen; None: the filter's own, with a
+screen given by the site, with one whose bars alone are given, and with one found."""
 
 FAMILIES = ("large", "paper", "hard", "raw")
 SIZES = ("HD720", "VGA", "HD720", "VGA", "HD1080")
 CROWD = 8
-"""Lumps at least on a crowded screen, of which there are three in seven: more of them touch. Two in nine are empty, and
-a third has angular lumps."""
+"""Lumps at least on a crowded screen, of which there are three in seven: more of them touch. Two in
+nine are empty, and a third has angular lumps."""
 PIXELS, HIDDEN, EPOCHS = 1500, 16, 12
 """Pixels of a view that the network learns from, its units, and how often it sees each pixel."""
 PURE = 0.6
@@ -43,12 +55,14 @@ PURE = 0.6
 
 FOLDS = 5
 FOLDER_WEIGHT = 4.0
-"""A scene folder counts as so many synthetic scenes: those are there to be many, folders to be like the real thing."""
+"""A scene folder counts as so many synthetic scenes: those are there to be many, folders to be like
+the real thing."""
 
 
 @dataclass(frozen=True)
 class View:
-    """A scene as segmentation is given it, with the true labels (H, W), lumps from 2 on, and those to be found.
+    """A scene as segmentation is given it, with the true labels (H, W), lumps from 2 on, and those
+    to be found.
 
     `weight` is what its examples count in training.
     """
@@ -64,14 +78,18 @@ class View:
 
 @dataclass(frozen=True)
 class Examples:
-    """Features (N, F), truths (N,) and weights (N,): a scene counts as the root of its examples, times its weight."""
+    """Features (N, F), truths (N,) and weights (N,): a scene counts as the root of its examples,
+    times its weight.
+    """
 
     features: F64
     truth: Mask
     weight: F64
 
     @classmethod
-    def of(cls, features: Sequence[F64], truth: Sequence[Mask], width: int, weight: float) -> Examples:
+    def of(
+        cls, features: Sequence[F64], truth: Sequence[Mask], width: int, weight: float
+    ) -> Examples:
         """Gather what was found in parts of one scene; `width` features each."""
         rows = np.concatenate([np.zeros((0, width)), *features])
         each = np.full(len(rows), weight / np.sqrt(max(len(rows), 1)))
@@ -80,7 +98,9 @@ class Examples:
 
 @dataclass(frozen=True)
 class Quality:
-    """Lumps wanted and found (overlap of at least a half), ores given and false ones, mean overlap of those wanted."""
+    """Lumps wanted and found (overlap of at least a half), ores given and false ones, mean overlap
+    of those wanted.
+    """
 
     wanted: int
     found: int
@@ -90,7 +110,9 @@ class Quality:
 
     def __str__(self) -> str:
         recall, false = self.found / max(self.wanted, 1), self.false / max(self.given, 1)
-        return f"recall {recall:.3f}, false {false:.3f}, mean IoU {self.iou:.3f} ({self.wanted} lumps)"
+        return (
+            f"recall {recall:.3f}, false {false:.3f}, mean IoU {self.iou:.3f} ({self.wanted} lumps)"
+        )
 
 
 def made_views(seed: int) -> Iterator[View]:
@@ -120,7 +142,12 @@ def scene_views(folder: Path) -> Iterator[View]:
 
 
 def _views(
-    name: str, pair: StereoPair, calibration: StereoCalibration, site: Site, instance: I32, wanted: tuple[int, ...]
+    name: str,
+    pair: StereoPair,
+    calibration: StereoCalibration,
+    site: Site,
+    instance: I32,
+    wanted: tuple[int, ...],
 ) -> Iterator[View]:
     bars_known = replace(site, plane=None)
     places = site, bars_known, replace(bars_known, opening_m=None, bar_width_m=None)
@@ -133,14 +160,18 @@ def _views(
 
 
 def train(views: Sequence[View], config: SegmentConfig, seed: int = 0) -> tuple[Weights, Quality]:
-    """Fit the network of pixels, then the models of pairs of parts that are one lump and of parts that are a lump.
+    """Fit the network of pixels, then the models of pairs of parts that are one lump and of parts
+    that are a lump.
 
-    Each sees what those before it, fitted without its scene, make of a view, as it will on new scenes. The quality is
-    that on scenes that none of them saw, in `FOLDS` folds by scene.
+    Each sees what those before it, fitted without its scene, make of a view, as it will on new
+    scenes. The quality is that on scenes that none of them saw, in `FOLDS` folds by scene.
     """
     rng = np.random.default_rng(seed)
     fold, pixels = _folds(views), [_pixels(view, config, rng) for view in views]
-    networks = [_network([p for p, f in zip(pixels, fold, strict=True) if f != k] or pixels) for k in range(FOLDS)]
+    networks = [
+        _network([p for p, f in zip(pixels, fold, strict=True) if f != k] or pixels)
+        for k in range(FOLDS)
+    ]
     seen = [Seen(view, int(f), networks[f]) for view, f in zip(views, fold, strict=True)]
     pairs = [_pairs_of(s, config, rng) for s in seen]
     pair, part = _fitted(pairs, seen, config)
@@ -156,7 +187,9 @@ class Seen:
     network: Network
 
 
-def _cross_validated(pairs: Sequence[Examples], seen: Sequence[Seen], config: SegmentConfig) -> Quality:
+def _cross_validated(
+    pairs: Sequence[Examples], seen: Sequence[Seen], config: SegmentConfig
+) -> Quality:
     found = []
     for k in range(FOLDS):
         others = [i for i, s in enumerate(seen) if s.fold != k]
@@ -174,15 +207,29 @@ def judge(view: View, config: SegmentConfig, weights: Weights) -> Quality:
     lumps = sorted({int(i) for i in np.unique(view.instance) if i >= FIRST_LUMP})
     iou = metrics.iou_matrix(view.instance, labels, lumps, given)
     best = dict(metrics.best_pairs(iou))
-    overlap = [iou[row, best[row]] if row in best else 0.0 for row, lump in enumerate(lumps) if lump in view.wanted]
+    overlap = [
+        iou[row, best[row]] if row in best else 0.0
+        for row, lump in enumerate(lumps)
+        if lump in view.wanted
+    ]
     hit = {column for row, column in best.items() if iou[row, column] >= 0.5}
     mean = float(np.mean(overlap)) if overlap else np.nan
-    return Quality(len(overlap), int(np.sum(np.array(overlap) >= 0.5)), len(given), len(given) - len(hit), mean)
+    return Quality(
+        len(overlap), int(np.sum(np.array(overlap) >= 0.5)), len(given), len(given) - len(hit), mean
+    )
 
 
 def _pooled(found: Sequence[Quality]) -> Quality:
-    wanted, hit, given, false = (sum(getattr(q, name) for q in found) for name in ("wanted", "found", "given", "false"))
-    return Quality(wanted, hit, given, false, float(np.nansum([q.iou * q.wanted for q in found]) / max(wanted, 1)))
+    wanted, hit, given, false = (
+        sum(getattr(q, name) for q in found) for name in ("wanted", "found", "given", "false")
+    )
+    return Quality(
+        wanted,
+        hit,
+        given,
+        false,
+        float(np.nansum([q.iou * q.wanted for q in found]) / max(wanted, 1)),
+    )
 
 
 def _folds(views: Sequence[View]) -> npt.NDArray[np.intp]:
@@ -191,7 +238,9 @@ def _folds(views: Sequence[View]) -> npt.NDArray[np.intp]:
     return np.array([names.index(view.scene) % FOLDS for view in views])
 
 
-def _fitted(pairs: Sequence[Examples], seen: Sequence[Seen], config: SegmentConfig) -> tuple[Logistic, Logistic]:
+def _fitted(
+    pairs: Sequence[Examples], seen: Sequence[Seen], config: SegmentConfig
+) -> tuple[Logistic, Logistic]:
     """The models of pairs and of parts."""
     parts = []
     for k in range(FOLDS):
@@ -202,16 +251,20 @@ def _fitted(pairs: Sequence[Examples], seen: Sequence[Seen], config: SegmentConf
 
 
 def _pixels(view: View, config: SegmentConfig, rng: np.random.Generator) -> tuple[F32, Mask]:
-    """Features (N, F) and truths (N,) of some of a view's pixels that may be ore; more of a view that weighs more.
+    """Features (N, F) and truths (N,) of some of a view's pixels that may be ore; more of a view
+    that weighs more.
 
-    Half of them are ore, as many of each lump: a small one must not be lost for the sake of a large one's outline.
+    Half of them are ore, as many of each lump: a small one must not be lost for the sake of a large
+    one's outline.
     """
     sight = measure_view(view.surface, view.grizzly, config, bounded=view.volume is not None).sight
     at, count = rng.permutation(candidates(sight)), int(PIXELS * view.weight)
     lump = _cropped(view).ravel()[at]
     lumps = [at[lump == number] for number in np.unique(lump[lump >= FIRST_LUMP])]
     others = at[lump < FIRST_LUMP][: count // 2 if lumps else count]
-    chosen = np.sort(np.concatenate([others, *(of_one[: count // 2 // len(lumps)] for of_one in lumps)]))
+    chosen = np.sort(
+        np.concatenate([others, *(of_one[: count // 2 // len(lumps)] for of_one in lumps)])
+    )
     return pixel_features(sight, chosen), _cropped(view).ravel()[chosen] >= FIRST_LUMP
 
 
@@ -239,7 +292,9 @@ def _rounded(values: F64) -> tuple[float, ...]:
 
 
 def _pairs_of(seen: Seen, config: SegmentConfig, rng: np.random.Generator) -> Examples:
-    """Neighbouring parts, first as cut, then as more and more of those of one lump are joined in random order."""
+    """Neighbouring parts, first as cut, then as more and more of those of one lump are joined in
+    random order.
+    """
     features, truths = [], []
     for heap in _heaps(seen, config):
         owner, purity = _owners(heap.labels, heap.instance)
@@ -266,7 +321,9 @@ def _parts(seen: Seen, config: SegmentConfig, pair: Logistic) -> Examples:
     for heap in _heaps(seen, config):
         labels = filled(merge_parts(heap.scene, heap.labels, config.merge_probability, pair))
         owner, _ = _owners(labels, heap.instance)
-        large = np.flatnonzero(np.bincount(labels.ravel()) > (config.min_size_m / heap.pixel_m) ** 2)
+        large = np.flatnonzero(
+            np.bincount(labels.ravel()) > (config.min_size_m / heap.pixel_m) ** 2
+        )
         large = large[large > 0]
         features.append(part_features(heap.scene, labels)[large])
         truths.append(owner[large] >= FIRST_LUMP)
@@ -284,7 +341,9 @@ class _Heap:
 def _heaps(seen: Seen, config: SegmentConfig) -> Iterator[_Heap]:
     """The heaps of a view as cut into parts, and the truth at their size."""
     view, instance = seen.view, _cropped(seen.view)
-    looked = segment.look(view.surface, view.grizzly, config, seen.network, bounded=view.volume is not None)
+    looked = segment.look(
+        view.surface, view.grizzly, config, seen.network, bounded=view.volume is not None
+    )
     for box, coarse in segment.coarse_heaps(looked, config):
         scene, labels = segment.oversegment(coarse, config)
         if labels.any():
@@ -302,6 +361,8 @@ def _cropped(view: View) -> U8:
 def _owners(labels: I32, instance: I32) -> tuple[npt.NDArray[np.intp], F64]:
     """The true label that most of each part 0…n has, and its share of the part."""
     shape = (int(labels.max(initial=0)) + 1, int(instance.max(initial=0)) + 1)
-    common = np.bincount(labels.ravel().astype(np.int64) * shape[1] + instance.ravel(), minlength=shape[0] * shape[1])
+    common = np.bincount(
+        labels.ravel().astype(np.int64) * shape[1] + instance.ravel(), minlength=shape[0] * shape[1]
+    )
     common = common.reshape(shape)
     return common.argmax(1), common.max(1) / np.maximum(common.sum(1), 1)

@@ -31,7 +31,9 @@ def fit_network(
     from threadpoolctl import threadpool_limits
 
     mean, scale = examples.mean(0, dtype=np.float64), examples.std(0, dtype=np.float64) + 1e-9
-    network = MLPClassifier((hidden,), max_iter=epochs, batch_size=1000, learning_rate_init=4e-3, random_state=seed)
+    network = MLPClassifier(
+        (hidden,), max_iter=epochs, batch_size=1000, learning_rate_init=4e-3, random_state=seed
+    )
     known = ((examples - mean) / scale)[:, :features]
     # One thread, so that sums have the same last digits on any machine of a kind.
     with warnings.catch_warnings(), threadpool_limits(1):
@@ -40,7 +42,9 @@ def fit_network(
         network.fit(known, truth)
     (inner, outer), (bias, offset) = network.coefs_, network.intercepts_
     rows = [_round(row) for row in inner] + [[0.0] * hidden] * (examples.shape[1] - known.shape[1])
-    return Network(_round(mean), _round(scale), rows, _round(bias), _round(outer[:, 0]), _round(offset)[0])
+    return Network(
+        _round(mean), _round(scale), rows, _round(bias), _round(outer[:, 0]), _round(offset)[0]
+    )
 
 
 def _round(values: npt.NDArray[np.floating]) -> list[float]:

@@ -1,4 +1,6 @@
-"""Where a scorer comes from, and how good it is on what it did not learn from: written into its file."""
+"""Where a scorer comes from, and how good it is on what it did not learn from: written into its
+file.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +52,10 @@ def of_stereo(scorer: Scorer, learned: Sequence[scorers.Lesson]) -> Scorer:
         out = set(cells[fold::FOLDS])
         other = scorers.fit([lesson for lesson in learned if lesson.cell not in out], "stereo")
         figures |= {lesson.name: _judged(other, lesson) for lesson in learned if lesson.cell in out}
-    fitted = {"clouds": len(learned), "kinds": dict(sorted(Counter(lesson.cell for lesson in learned).items()))}
+    fitted = {
+        "clouds": len(learned),
+        "kinds": dict(sorted(Counter(lesson.cell for lesson in learned).items())),
+    }
     return replace(scorer, provenance=_origin(fitted, figures))
 
 
@@ -74,7 +79,11 @@ def _judged(scorer: Scorer, lesson: scorers.Lesson) -> dict[str, float]:
     noise = run_passes(lesson.evidence, scorer)
     truth = lesson.is_noise[lesson.judged]
     quality = filter_quality(truth, (noise > scorer.decide(noise))[lesson.judged])
-    figures = {"noise": float(truth.mean()), "F1": quality.f1, "good points kept": quality.retention}
+    figures = {
+        "noise": float(truth.mean()),
+        "F1": quality.f1,
+        "good points kept": quality.retention,
+    }
     return {name: round(value, 3) for name, value in figures.items()}
 
 
@@ -82,5 +91,7 @@ def _strange() -> Iterable[LabelledCloud]:
     """Outliers of kinds left out, on shapes left out."""
     for number, labelled in enumerate(clean_clouds(range(1), [])):
         for kind in LEFT_OUT:
-            xyz, noise = plant(np.random.default_rng(number), labelled.voxels.xyz.astype(float), 0.05, kind)
+            xyz, noise = plant(
+                np.random.default_rng(number), labelled.voxels.xyz.astype(float), 0.05, kind
+            )
             yield LabelledCloud(f"{labelled.name}, {kind}", kind, bare_cloud(xyz), noise)

@@ -21,7 +21,9 @@ from stereo_ore.types import F32, Mask
 
 @dataclass(frozen=True)
 class Fit:
-    """A network to be fitted: its hidden units, and how many of the last features it does without."""
+    """A network to be fitted: its hidden units, and how many of the last features it does
+    without.
+    """
 
     hidden: int
     without: int = 0
@@ -29,10 +31,12 @@ class Fit:
 
 @dataclass(frozen=True)
 class Recipe:
-    """How a scorer is fitted: for each pass the networks that it is the mean of (`network.average`).
+    """How a scorer is fitted: for each pass the networks that it is the mean of
+    (`network.average`).
 
-    Each cloud gives `sample` points to learn from, and of its noise at least `noise` points where it has them: where
-    one point of a hundred is noise, a sample would hardly show it. `threshold` and `most_lost` are the scorer's.
+    Each cloud gives `sample` points to learn from, and of its noise at least `noise` points where
+    it has them: where one point of a hundred is noise, a sample would hardly show it. `threshold`
+    and `most_lost` are the scorer's.
     """
 
     passes: tuple[tuple[Fit, ...], ...]
@@ -44,7 +48,8 @@ class Recipe:
 
 
 RECIPES = {
-    # The network that does without the whole cloud knows clumps beside a smooth surface better, that with it all else.
+    # The network that does without the whole cloud knows clumps beside a smooth surface better,
+    # that with it all else.
     "geometry": Recipe(3 * ((Fit(32), Fit(32, len(WHOLE_FEATURES))),), 1500, 10, 0.5, noise=100),
     # Two fits of one recipe differ by 0.03 of F1 on sets not seen; several hardly do.
     "stereo": Recipe((3 * (Fit(32),), 4 * (Fit(40),)), 4000, 12, 0.2, 0.06),
@@ -53,7 +58,9 @@ RECIPES = {
 
 @dataclass(frozen=True)
 class Lesson:
-    """Evidence of a cloud, the truth (M,), the rows that can be judged, and those of them to learn from."""
+    """Evidence of a cloud, the truth (M,), the rows that can be judged, and those of them to learn
+    from.
+    """
 
     name: str
     cell: str
@@ -64,7 +71,9 @@ class Lesson:
 
 
 def lessons(clouds: Iterable[LabelledCloud], kind: str, seed: int = 0) -> list[Lesson]:
-    """What there is to learn from clouds, all with cues or all without; `seed` is that of the sample."""
+    """What there is to learn from clouds, all with cues or all without; `seed` is that of the
+    sample.
+    """
     rng = np.random.default_rng(seed)
     return [_lesson(labelled, RECIPES[kind], rng) for labelled in clouds]
 
@@ -80,20 +89,27 @@ def fit(learned: Sequence[Lesson], kind: str, seed: int = 0) -> Scorer:
     noise = [lesson.evidence.prior for lesson in learned]
     passes: list[Network] = []
     for number, fits in enumerate(recipe.passes):
-        tables, truths = zip(*(_examples(*each, number) for each in zip(learned, noise, strict=True)), strict=True)
+        tables, truths = zip(
+            *(_examples(*each, number) for each in zip(learned, noise, strict=True)), strict=True
+        )
         truth = np.concatenate(truths)
         if len(np.unique(truth)) < 2:
             # The passes before it left nothing to be learned.
             break
         passes.append(_fit(np.concatenate(tables), truth, fits, recipe.epochs, seed))
         if number + 1 < len(recipe.passes):
-            noise = [judge(x.evidence, p, passes[-1], number) for x, p in zip(learned, noise, strict=True)]
+            noise = [
+                judge(x.evidence, p, passes[-1], number)
+                for x, p in zip(learned, noise, strict=True)
+            ]
     return Scorer(list(learned[0].evidence.names), passes, recipe.threshold, recipe.most_lost)
 
 
 def _lesson(labelled: LabelledCloud, recipe: Recipe, rng: np.random.Generator) -> Lesson:
     voxels, rows = filters.prepared(labelled.voxels)
-    judged = np.arange(len(rows)) if labelled.judged is None else np.flatnonzero(labelled.judged[rows])
+    judged = (
+        np.arange(len(rows)) if labelled.judged is None else np.flatnonzero(labelled.judged[rows])
+    )
     order, is_noise = rng.permutation(judged), labelled.is_noise[rows]
     chosen = np.union1d(order[: recipe.sample], order[is_noise[order]][: recipe.noise])
     evidence = look(voxels, AdaptiveParams().k)[1]

@@ -1,4 +1,6 @@
-"""Fitting of the solids' shape prior to samples: linear models with a robust loss, judged on scenes left out."""
+"""Fitting of the solids' shape prior to samples: linear models with a robust loss, judged on scenes
+left out.
+"""
 
 from __future__ import annotations
 
@@ -17,15 +19,17 @@ CENTRE, VOLUME, LONGEST = [0, 1, 6], 2, 3
 FOLDS = 10
 """Scenes are left out by tenths; of up to ten that come first, each alone."""
 RIDGE, RIDGE_PRODUCTS, RIDGE_ODD = 100.0, 1100.0, 30.0
-"""Penalties of squared weights, in samples, of cues, of products of cues, and of odd cues. Errors on scenes left out
-are flat there."""
+"""Penalties of squared weights, in samples, of cues, of products of cues, and of odd cues. Errors
+on scenes left out are flat there."""
 INTERACTING = (
-    "tilt", "support", "top", "low", "ring_50", "ring_90", "near", "hidden", "surface_z", "outline_z", "frontal",
+    "tilt", "support", "top", "low", "ring_50", "ring_90", "near", "hidden", "surface_z",
+    "outline_z", "frontal",
     "facing", "grounded_volume", "solidity", "across", "on_bars",
 )  # fmt: skip
 """Cues of which every product counts; of the others their squares."""
 HUBER, ROUNDS = 1.0, 5
-"""Errors beyond so many standard deviations count by their size instead of its square, for medians are what counts."""
+"""Errors beyond so many standard deviations count by their size instead of its square, for medians
+are what counts."""
 LEAST_SCALE = 1e-3
 """A cue that varies less than this is not stretched: in few scenes some are constant."""
 HELD = 0.95
@@ -36,7 +40,8 @@ JUDGED = ("measured", "unplaced")
 
 @dataclass(frozen=True)
 class Quality:
-    """Medians over lumps: shift of the centre over the longest dimension, relative errors of volume and of the longest.
+    """Medians over lumps: shift of the centre over the longest dimension, relative errors of volume
+    and of the longest.
 
     `inside` is the share of coordinates of the centre, and `bounded` of volumes, within two sigma.
     """
@@ -49,13 +54,21 @@ class Quality:
     bounded: float
 
     def __str__(self) -> str:
-        medians = f"centre of gravity {self.shift:.1%}, volume {self.volume:.1%}, longest {self.longest:.1%}"
-        return f"{medians}, within two sigma {self.inside:.1%} and {self.bounded:.1%} ({self.lumps} lumps)"
+        medians = (
+            f"centre of gravity {self.shift:.1%}, volume {self.volume:.1%}, longest"
+            f" {self.longest:.1%}"
+        )
+        return (
+            f"{medians}, within two sigma {self.inside:.1%} and {self.bounded:.1%} ({self.lumps}"
+            " lumps)"
+        )
 
 
 @dataclass(frozen=True)
 class _Table:
-    """Samples as arrays: even (N, K) and odd (N, J) cues, doubts (N, D) after a one, truth (N, 7), weights (N,)."""
+    """Samples as arrays: even (N, K) and odd (N, J) cues, doubts (N, D) after a one, truth (N, 7),
+    weights (N,).
+    """
 
     even: F64
     odd: F64
@@ -65,13 +78,20 @@ class _Table:
 
     @classmethod
     def of(cls, found: Sequence[Sample]) -> _Table:
-        even, odd = (np.array([list(getattr(s.cues, kind).values()) for s in found]) for kind in ("even", "odd"))
-        doubts = np.array([[1.0, *(min(s.cues.doubts[name], 1.0) for name in DOUBTS)] for s in found])
+        even, odd = (
+            np.array([list(getattr(s.cues, kind).values()) for s in found])
+            for kind in ("even", "odd")
+        )
+        doubts = np.array(
+            [[1.0, *(min(s.cues.doubts[name], 1.0) for name in DOUBTS)] for s in found]
+        )
         truth = np.array([[s.truth[name] for name in (*TARGETS, "y")] for s in found])
         return cls(even, odd, doubts, truth, np.array([s.weight for s in found]))
 
     def __getitem__(self, rows: Mask) -> _Table:
-        return _Table(*(getattr(self, name)[rows] for name in ("even", "odd", "doubts", "truth", "weight")))
+        return _Table(
+            *(getattr(self, name)[rows] for name in ("even", "odd", "doubts", "truth", "weight"))
+        )
 
 
 def train(found: Sequence[Sample]) -> tuple[Prior, F64]:
@@ -92,7 +112,9 @@ def train(found: Sequence[Sample]) -> tuple[Prior, F64]:
         even, odd = _fit(seen, names) if len(seen.truth) else _fit(table, names)
         errors[fold == k] = np.column_stack([even(held.even), odd(held.odd)]) - held.truth
     judged = np.array([sample.seen_as in JUDGED for sample in found])
-    sigma = {name: _spread(table[judged], errors[judged, t]) for t, name in enumerate((*TARGETS, "y"))}
+    sigma = {
+        name: _spread(table[judged], errors[judged, t]) for t, name in enumerate((*TARGETS, "y"))
+    }
     return Prior(*_fit(table, names), sigma), errors
 
 
@@ -102,9 +124,13 @@ def quality(found: Sequence[Sample], errors: F64, prior: Prior) -> Quality:
     shift = np.linalg.norm(errors[:, CENTRE], axis=1) / size
     volume, longest = np.abs(np.expm1(errors[:, [VOLUME, LONGEST]])).T
     doubts = _Table.of(found).doubts
-    held = np.abs(errors) <= 2 * np.exp(doubts @ np.array([prior.sigma[name] for name in (*TARGETS, "y")]).T)
+    held = np.abs(errors) <= 2 * np.exp(
+        doubts @ np.array([prior.sigma[name] for name in (*TARGETS, "y")]).T
+    )
     shares = held[:, CENTRE].mean(), held[:, VOLUME].mean()
-    return Quality(len(found), *(float(v) for v in (*map(np.median, (shift, volume, longest)), *shares)))
+    return Quality(
+        len(found), *(float(v) for v in (*map(np.median, (shift, volume, longest)), *shares))
+    )
 
 
 def _folds(found: Sequence[Sample]) -> npt.NDArray[np.intp]:
@@ -115,7 +141,10 @@ def _folds(found: Sequence[Sample]) -> npt.NDArray[np.intp]:
 
 def _fit(table: _Table, names: tuple[tuple[str, ...], tuple[str, ...]]) -> tuple[Linear, Linear]:
     """Models of the targets from even cues, and of y, without a constant, from odd ones."""
-    mean, scale = np.average(table.even, 0, table.weight), np.maximum(table.even.std(0), LEAST_SCALE)
+    mean, scale = (
+        np.average(table.even, 0, table.weight),
+        np.maximum(table.even.std(0), LEAST_SCALE),
+    )
     even = Linear(names[0], _pairs(names[0]), mean, scale, np.zeros(0), np.zeros(0))
     penalty = np.repeat([0.0, RIDGE, RIDGE_PRODUCTS], [1, len(even.cues), len(even.pairs)])
     terms = np.insert(even.terms(table.even), 0, 1.0, axis=1)
@@ -148,7 +177,9 @@ def _ridge(X: F64, y: F64, weight: F64, penalty: F64) -> F64:
 
 
 def _spread(table: _Table, error: F64) -> F64:
-    """Log-linear model of an error's standard deviation, raised until two of them hold `HELD` of the errors."""
+    """Log-linear model of an error's standard deviation, raised until two of them hold `HELD` of
+    the errors.
+    """
     D, w = table.doubts, table.weight
     target = np.log(np.abs(error) + 0.1 * np.abs(error).mean())
     penalty = np.diag([0.0, *[1.0] * len(DOUBTS)])

@@ -19,11 +19,21 @@ from stereo_ore.lab.synth.model import FIRST_LUMP
 from stereo_ore.stages import solid
 from stereo_ore.stages.solid import Cues, Sight
 from stereo_ore.stages.solid.prior import TARGETS
-from stereo_ore.types import F64, I32, U8, FrameResult, OreMap, Site, StereoCalibration, StereoPair, Surface
+from stereo_ore.types import (
+    F64,
+    I32,
+    U8,
+    FrameResult,
+    OreMap,
+    Site,
+    StereoCalibration,
+    StereoPair,
+    Surface,
+)
 
 Appearance = Literal["measured", "unplaced", "noisy", "blurred", "outlined", "true"]
-"""How a scene is seen: as the program measures it; without being told where the screen is; with noisier or less sharp
-images; with true outlines; with true outlines and depth."""
+"""How a scene is seen: as the program measures it; without being told where the screen is; with
+noisier or less sharp images; with true outlines; with true outlines and depth."""
 WEIGHTS: Mapping[Appearance, float] = {
     "measured": 1.0, "unplaced": 1.0, "noisy": 0.5, "blurred": 0.5, "outlined": 0.3, "true": 0.3
 }  # fmt: skip
@@ -33,10 +43,11 @@ FIRST_SEED = 3000
 FAMILIES = ("large", "paper", "hard", "large", "raw", "paper")
 SIZES = ("HD720", "HD720", "HD1080", "HD720", "HD720", "VGA", "HD720")
 CROWD = 8
-"""Lumps at least on a crowded screen, of which there are two in five; on three screens of four they are angular.
+"""Lumps at least on a crowded screen, of which there are two in five; on three screens of four they
+are angular.
 
-One ray a pixel: the images alias, and disparities err by 0.09 px, with four by 0.06 and in path-traced scenes by 0.11.
-"""
+One ray a pixel: the images alias, and disparities err by 0.09 px, with four by 0.06 and in
+path-traced scenes by 0.11. """
 NOISE_LEVELS, BLUR_PX, BLURRED_THRESHOLD = 2.5, 0.7, 0.5
 """Of noisy and blurred images; the filter passes more in the latter."""
 TRUE_SIGMA_PX = 0.15
@@ -47,7 +58,8 @@ MIN_OVERLAP = 0.5
 
 @dataclass(frozen=True)
 class Body:
-    """What is true of a lump: label, volume [m³], centre of mass and dimensions, longest first, (3,) [m].
+    """What is true of a lump: label, volume [m³], centre of mass and dimensions, longest first,
+    (3,) [m].
 
     The centre is in the rectified left camera.
     """
@@ -60,9 +72,11 @@ class Body:
 
 @dataclass(frozen=True)
 class Known:
-    """A scene and its truth: depth (H, W) [m], 0 where nothing is, and labels (H, W) of the rectified left view.
+    """A scene and its truth: depth (H, W) [m], 0 where nothing is, and labels (H, W) of the
+    rectified left view.
 
-    `bodies` are those of the lumps that must be found; `recorded` tells a scene folder from a made-up scene.
+    `bodies` are those of the lumps that must be found; `recorded` tells a scene folder from a
+    made-up scene.
     """
 
     name: str
@@ -96,17 +110,26 @@ class Sample:
 
 
 def made(seed: int) -> Known:
-    """A synthetic scene; consecutive seeds take families, image sizes and kinds of lumps in turn."""
+    """A synthetic scene; consecutive seeds take families, image sizes and kinds of lumps in
+    turn.
+    """
     spec = synth.sample_spec(seed, FAMILIES[seed % len(FAMILIES)], SIZES[seed % len(SIZES)])
     crowd = CROWD + seed % CROWD if seed % 5 < 2 else spec.lumps
     scene = synth.scene(replace(spec, lumps=crowd, angular=seed % 4 > 0, supersampling=1))
     bodies = tuple(
-        Body(lump.id, lump.volume_m3, lump.com_rectified, np.array([lump.max_calliper, *lump.box_dims[1:]]))
+        Body(
+            lump.id,
+            lump.volume_m3,
+            lump.com_rectified,
+            np.array([lump.max_calliper, *lump.box_dims[1:]]),
+        )
         for lump in scene.lumps
         if evaluate.must_be_found(lump.visible_pixels_rectified, lump.visible_fraction, lump.cut)
     )
     depth = np.nan_to_num(scene.depth_m.astype(np.float64))
-    return Known(spec.name, scene.pair, scene.calibration, scene.site, depth, scene.instance, bodies)
+    return Known(
+        spec.name, scene.pair, scene.calibration, scene.site, depth, scene.instance, bodies
+    )
 
 
 def recorded(folder: Path) -> Known:
@@ -118,7 +141,16 @@ def recorded(folder: Path) -> Known:
         lump = truth.lumps[label]
         dimensions = np.array([lump["max_caliper_mm"], *lump["obb_dims_mm"][1:]]) / 1000
         bodies.append(Body(label, lump["volume_mm3"] * 1e-9, truth.centre(label), dimensions))
-    return Known(folder.name, pair, calibration, site, truth.depth, truth.instance, tuple(bodies), recorded=True)
+    return Known(
+        folder.name,
+        pair,
+        calibration,
+        site,
+        truth.depth,
+        truth.instance,
+        tuple(bodies),
+        recorded=True,
+    )
 
 
 def samples(known: Known) -> Iterator[Sample]:
@@ -130,7 +162,8 @@ def samples(known: Known) -> Iterator[Sample]:
     blurred = _process(known, _worse(pair, 0.0, BLUR_PX), site, threshold=BLURRED_THRESHOLD)
     seen: Sequence[tuple[Appearance, FrameResult]] = (
         ("measured", measured), ("unplaced", unplaced), ("noisy", noisy), ("blurred", blurred),
-        ("outlined", _outlined(measured, known)), ("true", _true(_outlined(measured, known), known)),
+        ("outlined", _outlined(measured, known)),
+        ("true", _true(_outlined(measured, known), known)),
     )  # fmt: skip
     for seen_as, result in seen:
         yield from _samples(known, seen_as, result)
@@ -144,7 +177,9 @@ def _samples(known: Known, seen_as: Appearance, result: FrameResult) -> Iterator
         if looked := found[label - 1]:
             sight, cues = looked
             longest = float(body.dimensions[0] / sight.size)
-            yield Sample(known.name, seen_as, known.recorded, cues, _target(body, sight, cues), longest)
+            yield Sample(
+                known.name, seen_as, known.recorded, cues, _target(body, sight, cues), longest
+            )
 
 
 def _target(body: Body, sight: Sight, cues: Cues) -> dict[str, float]:
@@ -159,14 +194,20 @@ def _counterparts(known: Known, ore_map: OreMap) -> Iterator[tuple[Body, int]]:
     given = list(range(1, int(ore_map.labels.max(initial=0)) + 1))
     if not given or not known.bodies:
         return
-    iou = metrics.iou_matrix(known.instance, ore_map.labels, [body.label for body in known.bodies], given)
+    iou = metrics.iou_matrix(
+        known.instance, ore_map.labels, [body.label for body in known.bodies], given
+    )
     for row, column in metrics.best_pairs(iou):
         if iou[row, column] >= MIN_OVERLAP:
             yield known.bodies[row], given[column]
 
 
-def _process(known: Known, pair: StereoPair, site: Site, threshold: float | None = None) -> FrameResult:
-    config = Config(filter=FilterConfig(params={} if threshold is None else {"threshold": threshold}))
+def _process(
+    known: Known, pair: StereoPair, site: Site, threshold: float | None = None
+) -> FrameResult:
+    config = Config(
+        filter=FilterConfig(params={} if threshold is None else {"threshold": threshold})
+    )
     return Chain(known.calibration, site, config)(pair)
 
 
@@ -183,7 +224,9 @@ def _worse(pair: StereoPair, noise: float, blur_px: float) -> StereoPair:
 
 def _outlined(result: FrameResult, known: Known) -> FrameResult:
     """The result with true outlines."""
-    return replace(result, ore_map=OreMap(np.maximum(known.instance - FIRST_LUMP + 1, 0).astype(np.int16)))
+    return replace(
+        result, ore_map=OreMap(np.maximum(known.instance - FIRST_LUMP + 1, 0).astype(np.int16))
+    )
 
 
 def _true(result: FrameResult, known: Known) -> FrameResult:
@@ -200,4 +243,6 @@ def _true_surface(surface: Surface, known: Known) -> Surface:
     z = np.where(z > 0, z, np.nan)
     u, v = np.meshgrid(np.arange(width) + surface.x0, np.arange(height) + surface.y0)
     xyz = surface.rig.back_project(u, v, z).astype(np.float32)
-    return replace(surface, xyz=xyz, sigma_z=surface.rig.depth_sigma(z, TRUE_SIGMA_PX).astype(np.float32))
+    return replace(
+        surface, xyz=xyz, sigma_z=surface.rig.depth_sigma(z, TRUE_SIGMA_PX).astype(np.float32)
+    )

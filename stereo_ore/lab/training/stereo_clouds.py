@@ -1,4 +1,6 @@
-"""Labelled stereo clouds to learn from: real pairs with truth, in good and in bad light, and made scenes."""
+"""Labelled stereo clouds to learn from: real pairs with truth, in good and in bad light, and made
+scenes.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +17,12 @@ from stereo_ore.lab.bench.stereo_sets import StereoSet
 FAMILIES = ("large", "paper", "hard", "large", "raw", "paper")
 
 
-def stereo_clouds(sets: Sequence[StereoSet], scenes: Sequence[Path], seeds: range) -> Iterator[LabelledCloud]:
-    """Each real set as it is and altered in all `WAYS`, scene folders, and made scenes of all families in turn."""
+def stereo_clouds(
+    sets: Sequence[StereoSet], scenes: Sequence[Path], seeds: range
+) -> Iterator[LabelledCloud]:
+    """Each real set as it is and altered in all `WAYS`, scene folders, and made scenes of all
+    families in turn.
+    """
     for found in sets:
         yield real_cloud(found)
         rng = np.random.default_rng(crc32(found.name.encode()))

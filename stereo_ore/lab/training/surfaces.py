@@ -1,4 +1,6 @@
-"""Clean pieces of surface to learn from: made shapes of many kinds and crops of scans, in spacings of their points."""
+"""Clean pieces of surface to learn from: made shapes of many kinds and crops of scans, in spacings
+of their points.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ Shape = Callable[[Rng, int], F64]
 
 
 def surface(rng: Rng, scans: Sequence[F64], points: int = POINTS) -> F64:
-    """A clean piece: a shape or a scan, sometimes thinned, of falling density, merged with itself, roughened."""
+    """A clean piece: a shape or a scan, sometimes thinned, of falling density, merged with itself,
+    roughened.
+    """
     if scans and rng.random() < 0.25:
         xyz = crop(rng, scans[int(rng.integers(len(scans)))], int(points * rng.uniform(1, 3)))
     else:
@@ -34,26 +38,40 @@ def _worn(rng: Rng, xyz: F64) -> F64:
         along = (along - along.min()) / np.ptp(along)
         xyz = xyz[rng.random(len(xyz)) < np.clip(along ** rng.uniform(0.5, 1.5) + 0.08, 0.08, 1)]
     if rng.random() < 0.2:
-        xyz = np.vstack([xyz, xyz + rng.normal(0, rng.uniform(0.05, 0.6) * spacing(xyz), xyz.shape)])
+        xyz = np.vstack(
+            [xyz, xyz + rng.normal(0, rng.uniform(0.05, 0.6) * spacing(xyz), xyz.shape)]
+        )
     return xyz
 
 
 def roughened(rng: Rng, xyz: F64) -> F64:
-    """Half of all pieces as they are, others moved by up to 1.1 spacings along the normal or all ways, or ever more."""
+    """Half of all pieces as they are, others moved by up to 1.1 spacings along the normal or all
+    ways, or ever more.
+    """
     amount = float(rng.choice([0, 0, rng.uniform(0, 0.3), rng.uniform(0, 1.1)])) * spacing(xyz)
     if rng.random() < 0.25:
         along = xyz @ rng.normal(size=3)
         part = (along - along.min()) / np.ptp(along)
-        return np.asarray(xyz + amount * part[:, None] * normals(xyz) * rng.normal(size=(len(xyz), 1)))
+        return np.asarray(
+            xyz + amount * part[:, None] * normals(xyz) * rng.normal(size=(len(xyz), 1))
+        )
     if rng.random() < 0.6:
         # Real ones have more far points than a normal distribution.
-        tail = rng.normal(size=(len(xyz), 1)) if rng.random() < 0.5 else rng.laplace(0, 0.7, (len(xyz), 1))
+        tail = (
+            rng.normal(size=(len(xyz), 1))
+            if rng.random() < 0.5
+            else rng.laplace(0, 0.7, (len(xyz), 1))
+        )
         return np.asarray(xyz + amount * normals(xyz) * tail)
     return np.asarray(xyz + 0.7 * amount * rng.normal(size=xyz.shape))
 
 
 def _paper(rng: Rng, m: int) -> F64:
-    return crop(rng, paper_cloud(100 + int(rng.integers(2)), noise_share=0.0)[0], int(m * rng.uniform(1, 2.5)))
+    return crop(
+        rng,
+        paper_cloud(100 + int(rng.integers(2)), noise_share=0.0)[0],
+        int(m * rng.uniform(1, 2.5)),
+    )
 
 
 def _square(rng: Rng, m: int, regular: bool = False) -> F64:
@@ -83,13 +101,17 @@ def _slab(rng: Rng, m: int) -> F64:
 
 def _edge(rng: Rng, m: int) -> F64:
     xyz = _wave(rng, m)
-    xyz[:, 2] += np.abs(xyz[:, 0]) * rng.uniform(0.3, 3) + np.where(xyz[:, 1] > 0, rng.uniform(0, 15), 0)
+    xyz[:, 2] += np.abs(xyz[:, 0]) * rng.uniform(0.3, 3) + np.where(
+        xyz[:, 1] > 0, rng.uniform(0, 15), 0
+    )
     return xyz
 
 
 def _ball(rng: Rng, m: int) -> F64:
     x = rng.normal(size=(m, 3))
-    return np.asarray(x / np.linalg.norm(x, axis=1)[:, None] * np.sqrt(m) / 3.5 * rng.uniform(0.5, 1, 3))
+    return np.asarray(
+        x / np.linalg.norm(x, axis=1)[:, None] * np.sqrt(m) / 3.5 * rng.uniform(0.5, 1, 3)
+    )
 
 
 def _fan(rng: Rng, m: int) -> F64:
@@ -102,7 +124,11 @@ def _fan(rng: Rng, m: int) -> F64:
 
 def _stairs(rng: Rng, m: int) -> F64:
     """Treads, and risers with few points."""
-    xy, steps, thin = rng.uniform(0, 1, (m, 2)), int(rng.integers(2, 9)), rng.random(m) < rng.uniform(0.03, 0.5)
+    xy, steps, thin = (
+        rng.uniform(0, 1, (m, 2)),
+        int(rng.integers(2, 9)),
+        rng.random(m) < rng.uniform(0.03, 0.5),
+    )
     rise, foot = rng.uniform(0.3, 1.2) / steps, np.floor(xy[:, 0] * steps)
     xy[thin, 0] = np.ceil(xy[thin, 0] * steps) / steps
     return np.column_stack([xy, (foot + thin * rng.uniform(0, 1, m)) * rise])
@@ -114,7 +140,11 @@ def _scan_lines(rng: Rng, m: int) -> F64:
     lines = max(int(np.sqrt(m / ratio)), 4)
     along = np.arange(m) // lines + rng.normal(0, 0.1, m)
     xy = np.column_stack([along, (np.arange(m) % lines) * ratio + rng.normal(0, 0.05, m)])
-    z = rng.uniform(0, 6) * np.sin(xy[:, 0] / rng.uniform(8, 40)) * np.cos(xy[:, 1] / rng.uniform(8, 40))
+    z = (
+        rng.uniform(0, 6)
+        * np.sin(xy[:, 0] / rng.uniform(8, 40))
+        * np.cos(xy[:, 1] / rng.uniform(8, 40))
+    )
     return np.column_stack([xy, z])
 
 
@@ -131,13 +161,18 @@ def _rods(rng: Rng, m: int) -> F64:
     """Thin straight rods, some over a floor."""
     count, floor = int(rng.integers(3, 15)), rng.random() < 0.5
     side, on_rod = np.sqrt(m), rng.random(m) < (0.4 if floor else 1.0)
-    centre, axis = rng.uniform(-side / 2, side / 2, (count, 3)) * [1, 1, 0.3], rng.normal(size=(count, 3)) * [1, 1, 0.2]
+    centre, axis = (
+        rng.uniform(-side / 2, side / 2, (count, 3)) * [1, 1, 0.3],
+        rng.normal(size=(count, 3)) * [1, 1, 0.2],
+    )
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
     rod, along = rng.integers(count, size=m), rng.uniform(-side / 3, side / 3, (m, 1))
     around = rng.normal(size=(m, 3))
     around /= np.linalg.norm(around, axis=1, keepdims=True)
     xyz = centre[rod] + axis[rod] * along + around * rng.uniform(0.3, 2)
-    return np.where(on_rod[:, None], xyz, np.column_stack([_square(rng, m), np.full(m, -0.3 * side)]))
+    return np.where(
+        on_rod[:, None], xyz, np.column_stack([_square(rng, m), np.full(m, -0.3 * side)])
+    )
 
 
 def _blobs(rng: Rng, m: int) -> F64:
@@ -154,18 +189,26 @@ def _blobs(rng: Rng, m: int) -> F64:
 
 def _gravel(rng: Rng, m: int) -> F64:
     """Stones down to the spacing of the points, seen from above: rough, yet without an outlier."""
-    xy, side, count = _square(rng, m, bool(rng.random() < 0.3)), np.sqrt(m), int(rng.integers(100, 1500))
+    xy, side, count = (
+        _square(rng, m, bool(rng.random() < 0.3)),
+        np.sqrt(m),
+        int(rng.integers(100, 1500)),
+    )
     size = np.minimum(rng.uniform(0.8, 4) * (1 + rng.pareto(rng.uniform(1, 2.5), count)), side / 5)
     centre, flat = rng.uniform(-side / 2, side / 2, (count, 2)), rng.uniform(0.3, 1)
     below = ((xy[:, None] - centre) ** 2).sum(2)
     top = np.sqrt(np.maximum(size**2 - below, 0)) * flat + np.where(
         below < size**2, rng.normal(0, 0.3, count) * size, 0
     )
-    return np.column_stack([xy, top.max(1) + 0.05 * side * np.sin(xy[:, 0] / side * rng.uniform(1, 6))])
+    return np.column_stack(
+        [xy, top.max(1) + 0.05 * side * np.sin(xy[:, 0] / side * rng.uniform(1, 6))]
+    )
 
 
 def _fractal(rng: Rng, m: int, waves: int = 150) -> F64:
-    """Ground that is rough at every scale: waves whose height falls with a power of their length."""
+    """Ground that is rough at every scale: waves whose height falls with a power of their
+    length.
+    """
     xy, side = _square(rng, m, bool(rng.random() < 0.3)), np.sqrt(m)
     length = side * np.exp(rng.uniform(np.log(2 / side), 0, waves))
     turn, phase = rng.uniform(0, 2 * np.pi, (2, waves))
@@ -180,18 +223,26 @@ def _tufts(rng: Rng, m: int) -> F64:
     m = len(ground)
     share, side, count = rng.uniform(0.1, 0.7), np.sqrt(m), int(rng.integers(40, 500))
     patch = rng.uniform(-side / 2, side / 2, (int(rng.integers(1, 12)), 2))
-    foot = patch[rng.integers(len(patch), size=count)] + rng.normal(0, side * rng.uniform(0.05, 0.3), (count, 2))
+    foot = patch[rng.integers(len(patch), size=count)] + rng.normal(
+        0, side * rng.uniform(0.05, 0.3), (count, 2)
+    )
     axis = rng.normal(size=(count, 3)) * [1, 1, 0.5] + [0, 0, rng.uniform(0, 1.5)]
     axis *= rng.uniform(1, 8) / np.linalg.norm(axis, axis=1, keepdims=True)
     blade = rng.integers(count, size=m)
     height = ground[cKDTree(ground[:, :2]).query(foot)[1], 2]
     bent = rng.random((m, 1))
-    blades = np.column_stack([foot, height])[blade] + axis[blade] * bent + rng.normal(0, rng.uniform(0, 0.3), (m, 3))
+    blades = (
+        np.column_stack([foot, height])[blade]
+        + axis[blade] * bent
+        + rng.normal(0, rng.uniform(0, 0.3), (m, 3))
+    )
     return np.where(rng.random((m, 1)) < share, blades, ground)
 
 
 SHAPES: Mapping[str, Shape] = {
-    "paper": _paper, "wave": _wave, "grid": _grid, "slab": _slab, "edge": _edge, "ball": _ball, "fan": _fan,
-    "stairs": _stairs, "scan lines": _scan_lines, "depth steps": _depth_steps, "rods": _rods, "stones": _blobs,
+    "paper": _paper, "wave": _wave, "grid": _grid, "slab": _slab, "edge": _edge, "ball": _ball,
+    "fan": _fan,
+    "stairs": _stairs, "scan lines": _scan_lines, "depth steps": _depth_steps, "rods": _rods,
+    "stones": _blobs,
     "gravel": _gravel, "fractal": _fractal, "tufts": _tufts,
 }  # fmt: skip

@@ -1,4 +1,6 @@
-"""What every consumer of targets has in common: it takes a message at once, and sends it when it can."""
+"""What every consumer of targets has in common: it takes a message at once, and sends it when it
+can.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ OUTBOX_SIZE = 64
 
 @dataclass(frozen=True)
 class SinkState:
-    """How a sink is doing, for the operator; `alarm` is what he has to look after, empty while all is well."""
+    """How a sink is doing, for the operator; `alarm` is what he has to look after, empty while all
+    is well.
+    """
 
     name: str
     address: str
@@ -32,14 +36,17 @@ class SinkState:
 class TargetSink(Protocol):
     """Sends messages in a thread of its own, from entering the context until leaving it.
 
-    Entering raises `OutputError` for what can't come right by itself (a port in use, a certificate that is none);
-    a consumer that is away is waited for.
+    Entering raises `OutputError` for what can't come right by itself (a port in use, a certificate
+    that is none); a consumer that is away is waited for.
     """
 
     def __enter__(self) -> Self: ...
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None: ...
 
     def publish(self, message: Message) -> None:
@@ -52,7 +59,9 @@ class TargetSink(Protocol):
 
 
 class Outbox:
-    """A bounded queue whose writer never waits: when it is full the oldest message is dropped and counted."""
+    """A bounded queue whose writer never waits: when it is full the oldest message is dropped and
+    counted.
+    """
 
     def __init__(self, size: int = OUTBOX_SIZE) -> None:
         self._messages: deque[Message] = deque()

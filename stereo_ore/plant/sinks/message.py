@@ -1,7 +1,7 @@
 """What the arm's side is told: the targets of a frame, with the time for which they hold.
 
-A message is valid only while its targets may be struck. Everything else (a degraded or failed frame, no arm frame, no
-new frame in time, the end of the program) is a message without targets.
+A message is valid only while its targets may be struck. Everything else (a degraded or failed
+frame, no arm frame, no new frame in time, the end of the program) is a message without targets.
 """
 
 from __future__ import annotations
@@ -27,8 +27,9 @@ Vector = tuple[float, float, float]
 class Target:
     """One lump to strike, best first: arm frame, metres.
 
-    `direction` is the unit vector the tool moves along; `size_m` longest, middle and shortest dimension; `sigma_m` the
-    standard deviations of the centre of gravity along the axes of the camera.
+    `direction` is the unit vector the tool moves along; `size_m` longest, middle and shortest
+    dimension; `sigma_m` the standard deviations of the centre of gravity along the axes of the
+    camera.
     """
 
     id: int
@@ -45,8 +46,9 @@ class Target:
 class Origin:
     """What all messages of one program run share.
 
-    `session` changes with every start, when sequence numbers begin anew; `transform_id` tells with which
-    arm-from-camera transform positions were made; `replay` marks recorded frames that are published again.
+    `session` changes with every start, when sequence numbers begin anew; `transform_id` tells with
+    which arm-from-camera transform positions were made; `replay` marks recorded frames that are
+    published again.
     """
 
     session: str = ""
@@ -56,7 +58,9 @@ class Origin:
 
 @dataclass(frozen=True)
 class Message:
-    """The targets of one frame, or that there are none; `deadline` is on this process's monotonic clock [s]."""
+    """The targets of one frame, or that there are none; `deadline` is on this process's monotonic
+    clock [s].
+    """
 
     sequence: int
     origin: Origin
@@ -77,7 +81,11 @@ class Message:
 
     def current(self) -> Message:
         """The message as it may be sent now: without its targets once they have expired."""
-        return self.withdrawn("EXPIRED") if self.targets and time.monotonic() >= self.deadline else self
+        return (
+            self.withdrawn("EXPIRED")
+            if self.targets and time.monotonic() >= self.deadline
+            else self
+        )
 
     def withdrawn(self, reason: str) -> Message:
         """The same frame without targets, and why."""
@@ -87,19 +95,30 @@ class Message:
         """The same frame with its `count` best targets, and why there are no more."""
         if count >= len(self.targets):
             return self
-        return replace(self, targets=self.targets[:count], reasons=(*self.reasons, "TARGETS_LEFT_OUT"))
+        return replace(
+            self, targets=self.targets[:count], reasons=(*self.reasons, "TARGETS_LEFT_OUT")
+        )
 
     def json(self) -> dict[str, Any]:
         """What goes over the wire; units and frame are in it.
 
-        Times are there twice: in nanoseconds, which JavaScript and other readers without 64-bit integers round, and as
-        text with all nine digits.
+        Times are there twice: in nanoseconds, which JavaScript and other readers without 64-bit
+        integers round, and as text with all nine digits.
         """
-        head = {"schema": SCHEMA, "sequence": self.sequence, "valid": self.valid, "units": "m", "coordinates": "arm"}
+        head = {
+            "schema": SCHEMA,
+            "sequence": self.sequence,
+            "valid": self.valid,
+            "units": "m",
+            "coordinates": "arm",
+        }
         fields = asdict(self)
         del fields["deadline"]
         origin: dict[str, Any] = fields.pop("origin")
-        times = {f"{name}_utc": utc(fields[f"{name}_ns"]) for name in ("stamp", "published", "valid_until")}
+        times = {
+            f"{name}_utc": utc(fields[f"{name}_ns"])
+            for name in ("stamp", "published", "valid_until")
+        }
         return head | origin | fields | times
 
     def line(self) -> str:
@@ -108,7 +127,9 @@ class Message:
 
 
 def utc(nanoseconds: int | None) -> str | None:
-    """RFC 3339 text with nine digits of a second; None for None and for years that it can't write."""
+    """RFC 3339 text with nine digits of a second; None for None and for years that it can't
+    write.
+    """
     if nanoseconds is None:
         return None
     seconds, rest = divmod(nanoseconds, 10**9)
@@ -124,13 +145,16 @@ def new_session() -> str:
 
 
 def offline(origin: Origin) -> str:
-    """What a broker says for a program that has vanished: a line of JSON that withdraws all its session has said.
+    """What a broker says for a program that has vanished: a line of JSON that withdraws all its
+    session has said.
 
-    It is written down before the first message and sent after the last, so it has no number and no time: a consumer
-    that keeps the newest must not compare it.
+    It is written down before the first message and sent after the last, so it has no number and no
+    time: a consumer that keeps the newest must not compare it.
     """
     gone = notice(0, origin, "offline").json()
-    none = dict.fromkeys(("sequence", "published_ns", "valid_until_ns", "published_utc", "valid_until_utc"))
+    none = dict.fromkeys(
+        ("sequence", "published_ns", "valid_until_ns", "published_utc", "valid_until_utc")
+    )
     return json.dumps(gone | none, separators=(",", ":"))
 
 
@@ -140,7 +164,9 @@ def notice(sequence: int, origin: Origin, status: str) -> Message:
     return Message(sequence, origin, None, None, None, now, now, status, (status.upper(),))
 
 
-def message(record: Json, sequence: int, origin: Origin, *, age_s: float, valid_for_s: float) -> Message:
+def message(
+    record: Json, sequence: int, origin: Origin, *, age_s: float, valid_for_s: float
+) -> Message:
     """The message of a frame's record.
 
     Parameters
@@ -152,8 +178,8 @@ def message(record: Json, sequence: int, origin: Origin, *, age_s: float, valid_
     origin : Origin
         What messages of this run share.
     age_s : float
-        Time since the frame was taken or arrived [s]. A negative age, from a clock that was set back, is as
-        untrustworthy as a large one.
+        Time since the frame was taken or arrived [s]. A negative age, from a clock that was set
+        back, is as untrustworthy as a large one.
     valid_for_s : float
         How long the targets hold after that [s].
     """
@@ -205,4 +231,8 @@ def _target(ore: Json) -> Target | None:
 
 def transform_id(T_arm_camera: F64 | None) -> str | None:
     """Twelve hexadecimal digits that change with the transform; None without one."""
-    return None if T_arm_camera is None else hashlib.sha256(T_arm_camera.astype("<f8").tobytes()).hexdigest()[:12]
+    return (
+        None
+        if T_arm_camera is None
+        else hashlib.sha256(T_arm_camera.astype("<f8").tobytes()).hexdigest()[:12]
+    )

@@ -30,7 +30,8 @@ log = logging.getLogger(__name__)
 
 HEARTBEAT_S = 0.5
 FUNCTIONS = (3, 4, 6, 16, 22, 23)
-"""Read registers of either kind; write one, several, bits of one; write and read. There are no coils."""
+"""Read registers of either kind; write one, several, bits of one; write and read. There are no
+coils."""
 MAX_CONSUMERS = 16
 IDLE_S = 10.0
 """A master that has asked nothing for this time gives its place to one waiting."""
@@ -39,9 +40,11 @@ Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 
 
 class ModbusSink:
-    """Serves the latest targets at `host`:`port`, to every device number; only the acknowledgement can be written.
+    """Serves the latest targets at `host`:`port`, to every device number; only the acknowledgement
+    can be written.
 
-    Registers are made when they are read, so the remaining time is that of the answer, and one request is never torn.
+    Registers are made when they are read, so the remaining time is that of the answer, and one
+    request is never torn.
 
     Parameters
     ----------
@@ -71,10 +74,15 @@ class ModbusSink:
         self._closed = False
         self._registers: list[int] = []
         self._asked: dict[asyncio.Transport, float] = {}
-        self._supervisor = Supervisor(f"Modbus TCP at {self.address}", self._serve, lambda: self._closed)
+        self._supervisor = Supervisor(
+            f"Modbus TCP at {self.address}", self._serve, lambda: self._closed
+        )
 
     def __enter__(self) -> Self:
-        remedy = "Is another program listening there? Ports below 1024 need a right to them (CAP_NET_BIND_SERVICE)"
+        remedy = (
+            "Is another program listening there? Ports below 1024 need a right to them"
+            " (CAP_NET_BIND_SERVICE)"
+        )
         try:
             socket.create_server((self._host, self._port)).close()
         except OSError as fault:
@@ -84,7 +92,10 @@ class ModbusSink:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self._closed = True
         self._supervisor.join()
@@ -95,14 +106,22 @@ class ModbusSink:
         self._sent += 1
 
     def state(self) -> SinkState:
-        """Connected masters, messages shown, what the arm acknowledged last, and whether the server is in order."""
+        """Connected masters, messages shown, what the arm acknowledged last, and whether the server
+        is in order.
+        """
         clients = len(self._asked)
         written = self._registers[ACKNOWLEDGEMENT : ACKNOWLEDGEMENT + ACKNOWLEDGEMENT_WORDS]
         sequence, target = acknowledged(written) if written else (0, 0)
-        detail = f"acknowledged: message {sequence}, ore {target}" if sequence else "nothing acknowledged"
+        detail = (
+            f"acknowledged: message {sequence}, ore {target}"
+            if sequence
+            else "nothing acknowledged"
+        )
         detail += f"; {self._refused} connections refused" if self._refused else ""
         watched = self._supervisor.alarm, self._supervisor.restarts
-        return SinkState("Modbus TCP", self.address, clients > 0, clients, self._sent, 0, detail, *watched)
+        return SinkState(
+            "Modbus TCP", self.address, clients > 0, clients, self._sent, 0, detail, *watched
+        )
 
     async def _serve(self) -> None:
         """One life of the server."""
@@ -114,7 +133,9 @@ class ModbusSink:
             SimData(0, values=0, count=READABLE_WORDS, datatype=registers, readonly=True),
             SimData(ACKNOWLEDGEMENT, values=0, count=ACKNOWLEDGEMENT_WORDS, datatype=registers),
         ]
-        server = ModbusTcpServer(SimDevice(0, simdata=table, action=self._access), address=(self._host, self._port))
+        server = ModbusTcpServer(
+            SimDevice(0, simdata=table, action=self._access), address=(self._host, self._port)
+        )
         server.callback_new_connection = self._guarded(server.callback_new_connection)
         await server.serve_forever(background=True)
         try:
@@ -132,7 +153,13 @@ class ModbusSink:
             self._asked.clear()
 
     async def _access(
-        self, function: int, start: int, address: int, count: int, registers: list[int], values: list[int] | None
+        self,
+        function: int,
+        start: int,
+        address: int,
+        count: int,
+        registers: list[int],
+        values: list[int] | None,
     ) -> ExcCodes | None:
         """Fill the table in for a request, just before it is answered."""
         from pymodbus.constants import ExcCodes
@@ -145,7 +172,9 @@ class ModbusSink:
         return None
 
     def _guarded(self, make: Callable[[], Any]) -> Callable[[], Any]:
-        """Handlers of connections that are noted while they last, and ended at once where they are not welcome."""
+        """Handlers of connections that are noted while they last, and ended at once where they are
+        not welcome.
+        """
 
         def handler() -> Any:
             made = make()

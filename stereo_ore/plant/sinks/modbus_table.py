@@ -1,10 +1,11 @@
 """The Modbus table of registers: which there are, and what they hold for a message.
 
-Everything can be read with function 3 (holding registers) and 4 (input registers). Numbers of more than one register
-have the high word first ("ABCD", big endian), reals are IEEE 754 of 32 bits, and what is unknown is NaN.
+Everything can be read with function 3 (holding registers) and 4 (input registers). Numbers of more
+than one register have the high word first ("ABCD", big endian), reals are IEEE 754 of 32 bits, and
+what is unknown is NaN.
 
-`SEQUENCE` stands before the targets and again behind them, and its low word in every slot: a set that was read in
-several requests is whole when all are equal. A single request is never torn.
+`SEQUENCE` stands before the targets and again behind them, and its low word in every slot: a set
+that was read in several requests is whole when all are equal. A single request is never torn.
 """
 
 from __future__ import annotations
@@ -46,12 +47,18 @@ HEAD = (
     Register(1, "H", "heartbeat", "", "counts up twice a second while the program lives"),
     Register(2, "I", "sequence", "", "number of the message; first written"),
     Register(4, "H", "valid", "", "1 while targets may be struck, else 0"),
-    Register(5, "H", "remaining", "ms", "for how long they may be struck, counted down as it is read"),
+    Register(
+        5, "H", "remaining", "ms", "for how long they may be struck, counted down as it is read"
+    ),
     Register(6, "H", "count", "", "slots in use, best target first"),
-    Register(7, "H", "status", "", ", ".join(f"{number} {name}" for number, name in enumerate(STATUSES))),
+    Register(
+        7, "H", "status", "", ", ".join(f"{number} {name}" for number, name in enumerate(STATUSES))
+    ),
     Register(8, "i", "frame_index", "", "number of the frame; -1: none"),
     Register(10, "H", "replay", "", "1: a recording, not the camera"),
-    Register(11, "H", "session", "", "changes with every start of the program, when sequence begins anew"),
+    Register(
+        11, "H", "session", "", "changes with every start of the program, when sequence begins anew"
+    ),
 )
 SLOT = (
     Register(0, "H", "sequence_low", "", "low word of sequence; 0 in a slot that is not in use"),
@@ -67,7 +74,13 @@ SLOT = (
     Register(18, "f", "size_middle", "m", ""),
     Register(20, "f", "size_shortest", "m", ""),
     Register(22, "f", "volume", "m³", "volume of the lump"),
-    Register(24, "f", "sigma_x", "m", "standard deviations of its centre of gravity along the camera's axes"),
+    Register(
+        24,
+        "f",
+        "sigma_x",
+        "m",
+        "standard deviations of its centre of gravity along the camera's axes",
+    ),
     Register(26, "f", "sigma_y", "m", ""),
     Register(28, "f", "sigma_z", "m", ""),
     Register(30, "f", "score", "", "quality of the strike"),
@@ -75,13 +88,19 @@ SLOT = (
 """Addresses from the beginning of a slot."""
 TAIL = (Register(END, "I", "sequence", "", "number of the message; last written"),)
 WRITABLE = (
-    Register(ACKNOWLEDGEMENT, "I", "acknowledged_sequence", "", "arm: sequence of the message in use"),
-    Register(ACKNOWLEDGEMENT + 2, "H", "acknowledged_target", "", "arm: id of the target being struck"),
+    Register(
+        ACKNOWLEDGEMENT, "I", "acknowledged_sequence", "", "arm: sequence of the message in use"
+    ),
+    Register(
+        ACKNOWLEDGEMENT + 2, "H", "acknowledged_target", "", "arm: id of the target being struck"
+    ),
 )
 
 
 def words(message: Message, heartbeat: int) -> list[int]:
-    """The readable registers, as they may be read now: without the targets once they have expired."""
+    """The readable registers, as they may be read now: without the targets once they have
+    expired.
+    """
     message = message.current()
     remaining_s = message.deadline - time.monotonic() if message.valid else 0.0
     data = bytearray(2 * READABLE_WORDS)
@@ -113,12 +132,16 @@ def acknowledged(registers: list[int]) -> tuple[int, int]:
 def rows() -> list[tuple[int, str, str, str, str]]:
     """The table for people and for engineering tools: address, type, name, unit, meaning."""
     slots = [
-        Register(HEAD_WORDS + slot * SLOT_WORDS + register.address, register.code, f"target_{slot + 1}.{register.name}",
+        Register(HEAD_WORDS + slot * SLOT_WORDS + register.address, register.code,
+        f"target_{slot + 1}.{register.name}",
                  register.unit, register.text)
         for slot in range(SLOTS) for register in SLOT
     ]  # fmt: skip
     types = {"H": "uint16", "I": "uint32", "i": "int32", "f": "float32"}
-    return [(r.address, types[r.code], r.name, r.unit, r.text) for r in (*HEAD, *slots, *TAIL, *WRITABLE)]
+    return [
+        (r.address, types[r.code], r.name, r.unit, r.text)
+        for r in (*HEAD, *slots, *TAIL, *WRITABLE)
+    ]
 
 
 def _slot(target: Target | None, sequence: int) -> tuple[float, ...]:
@@ -132,7 +155,9 @@ def _slot(target: Target | None, sequence: int) -> tuple[float, ...]:
     return (sequence % 2**16, target.id % 2**16, oversize, *numbers)
 
 
-def _put(data: bytearray, start: int, registers: tuple[Register, ...], values: tuple[float, ...]) -> None:
+def _put(
+    data: bytearray, start: int, registers: tuple[Register, ...], values: tuple[float, ...]
+) -> None:
     for register, value in zip(registers, values, strict=True):
         if register.code == "f" and abs(value) > LARGEST_FLOAT32:
             value = math.copysign(math.inf, value)

@@ -1,4 +1,6 @@
-"""Targets to an MQTT broker: one retained message, replaced with every frame, withdrawn by the broker if we vanish."""
+"""Targets to an MQTT broker: one retained message, replaced with every frame, withdrawn by the
+broker if we vanish.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ RETAIN_NOT_SUPPORTED, QOS_NOT_SUPPORTED = 0x9A, 0x9B
 
 @dataclass(frozen=True)
 class MqttLogin:
-    """User, password and the authority that signed the broker's certificate; all None for a broker on this machine."""
+    """User, password and the authority that signed the broker's certificate; all None for a broker
+    on this machine.
+    """
 
     user: str | None = None
     password: str | None = field(default=None, repr=False)
@@ -44,7 +48,9 @@ class MqttLogin:
 
 @dataclass(frozen=True)
 class _Offer:
-    """What the broker can do, from its CONNACK (MQTT 5, 3.2.2.3) or from the reason of a refusal."""
+    """What the broker can do, from its CONNACK (MQTT 5, 3.2.2.3) or from the reason of a
+    refusal.
+    """
 
     retain: bool = True
     qos: int = 1
@@ -52,11 +58,12 @@ class _Offer:
 
 
 class MqttSink:
-    """Publishes to `topic` of the broker at `host`:`port`; what can't be sent waits in a bounded outbox.
+    """Publishes to `topic` of the broker at `host`:`port`; what can't be sent waits in a bounded
+    outbox.
 
-    Messages are retained where the broker can, and expire in it with their targets (MQTT 5). After each connection the
-    latest message is sent again, so that "offline" does not outlive the program's return. The connection's last will is
-    a message without targets.
+    Messages are retained where the broker can, and expire in it with their targets (MQTT 5). After
+    each connection the latest message is sent again, so that "offline" does not outlive the
+    program's return. The connection's last will is a message without targets.
 
     Parameters
     ----------
@@ -65,7 +72,8 @@ class MqttSink:
     login : MqttLogin, optional
         User, password, authority.
     qos : int
-        0: a message is sent at most once, since a repeated old target would be worse than none; 1: at least once.
+        0: a message is sent at most once, since a repeated old target would be worse than none; 1:
+        at least once.
     origin : Origin
         What the last will says of the session that it ends.
     """
@@ -105,7 +113,10 @@ class MqttSink:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self._outbox.close()
         self._thread.join(CLOSING_S)
@@ -124,7 +135,9 @@ class MqttSink:
         connected = self._connected.is_set()
         address = f"{self.host}:{self.port} {self.topic}"
         lost = self._outbox.dropped + self._unsendable
-        return SinkState("MQTT", address, connected, int(connected), self._sent, lost, self._detail, self._alarm)
+        return SinkState(
+            "MQTT", address, connected, int(connected), self._sent, lost, self._detail, self._alarm
+        )
 
     def _run(self) -> None:
         while not self._outbox.finished and not self._stopping.is_set():
@@ -147,8 +160,14 @@ class MqttSink:
             return True
         offer, properties = self._offer, Properties(PacketTypes.PUBLISH)
         if fitting.valid:
-            properties.MessageExpiryInterval = max(1, math.ceil(fitting.deadline - time.monotonic()))
-        arguments = {"qos": min(self._qos, offer.qos), "retain": offer.retain, "properties": properties}
+            properties.MessageExpiryInterval = max(
+                1, math.ceil(fitting.deadline - time.monotonic())
+            )
+        arguments = {
+            "qos": min(self._qos, offer.qos),
+            "retain": offer.retain,
+            "properties": properties,
+        }
         info = self._client.publish(self.topic, fitting.line(), **arguments)
         if info.rc != MQTT_ERR_SUCCESS:
             self._connected.clear()
@@ -159,13 +178,19 @@ class MqttSink:
         return written
 
     def _fitting(self, message: Message) -> Message | None:
-        """The message with as many of its best targets as the broker's largest packet holds; None: not even none."""
+        """The message with as many of its best targets as the broker's largest packet holds; None:
+        not even none.
+        """
         limit = self._offer.packet_bytes
         room = None if limit is None else limit - HEADER_BYTES - len(self.topic.encode())
         for count in range(len(message.targets), -1, -1):
             fitting = message.shortened(count)
             if room is None or len(fitting.line().encode()) <= room:
-                self._alarm = "" if fitting is message else f"only {count} targets fit the broker's {limit} bytes"
+                self._alarm = (
+                    ""
+                    if fitting is message
+                    else f"only {count} targets fit the broker's {limit} bytes"
+                )
                 return fitting
         self._alarm = f"no message fits the broker's {limit} bytes"
         self._unsendable += 1
@@ -183,12 +208,18 @@ class MqttSink:
         return False
 
     def _set_will(self) -> None:
-        self._client.will_set(self.topic, offline(self._origin), qos=self._offer.qos, retain=self._offer.retain)
+        self._client.will_set(
+            self.topic, offline(self._origin), qos=self._offer.qos, retain=self._offer.retain
+        )
 
-    def _on_connect(self, client: Client, userdata: Any, flags: Any, reason: Any, properties: Any) -> None:
+    def _on_connect(
+        self, client: Client, userdata: Any, flags: Any, reason: Any, properties: Any
+    ) -> None:
         self._detail = str(reason)
         if reason.is_failure:
-            log.warning("MQTT broker %s:%d refuses the connection: %s", self.host, self.port, reason)
+            log.warning(
+                "MQTT broker %s:%d refuses the connection: %s", self.host, self.port, reason
+            )
             self._do_without(reason.value)
             return
         self._offer = _Offer(
@@ -203,19 +234,26 @@ class MqttSink:
         self._connected.set()
 
     def _do_without(self, reason: int) -> None:
-        """Ask less at the next attempt: a will that a broker can't keep is a reason to refuse the connection."""
+        """Ask less at the next attempt: a will that a broker can't keep is a reason to refuse the
+        connection.
+        """
         if reason == RETAIN_NOT_SUPPORTED:
             self._offer = replace(self._offer, retain=False)
         elif reason == QOS_NOT_SUPPORTED:
             self._offer = replace(self._offer, qos=0)
         self._set_will()
 
-    def _on_disconnect(self, client: Client, userdata: Any, flags: Any, reason: Any, properties: Any) -> None:
+    def _on_disconnect(
+        self, client: Client, userdata: Any, flags: Any, reason: Any, properties: Any
+    ) -> None:
         if self._connected.is_set():
-            # A refused connection ends too, but then the refusal is what the operator needs to read.
+            # A refused connection ends too, but then the refusal is what the operator needs to
+            # read.
             self._connected.clear()
             self._detail = f"disconnected: {reason}"
-            log.warning("MQTT broker %s:%d: %s; connecting again", self.host, self.port, self._detail)
+            log.warning(
+                "MQTT broker %s:%d: %s; connecting again", self.host, self.port, self._detail
+            )
             self._do_without(reason.value)
 
 
@@ -234,5 +272,7 @@ def _client(login: MqttLogin) -> Client:
         try:
             client.tls_set(ca_certs=str(login.authority))
         except (OSError, ssl.SSLError) as fault:
-            raise OutputError(f"is no certificate: {fault}", file=login.authority, key="mqtt.authority") from None
+            raise OutputError(
+                f"is no certificate: {fault}", file=login.authority, key="mqtt.authority"
+            ) from None
     return client

@@ -29,7 +29,9 @@ HEARTBEAT_S = 0.5
 
 @dataclass(frozen=True)
 class OpcUaSecurity:
-    """Server certificate and key, trusted client certificates (a folder), passwords by user; None: any."""
+    """Server certificate and key, trusted client certificates (a folder), passwords by user; None:
+    any.
+    """
 
     certificate: Path
     private_key: Path
@@ -47,7 +49,8 @@ class OpcUaSink:
     host, port
         Where to listen.
     security : OpcUaSecurity, optional
-        Without it connections are open and not encrypted: for this machine only, which the settings see to.
+        Without it connections are open and not encrypted: for this machine only, which the settings
+        see to.
     """
 
     def __init__(
@@ -68,19 +71,26 @@ class OpcUaSink:
         self._sent = 0
         self._acknowledged = (0, 0)
         self._server: Server | None = None
-        self._supervisor = Supervisor(f"OPC UA at {self.url}", self._serve, lambda: self._outbox.finished)
+        self._supervisor = Supervisor(
+            f"OPC UA at {self.url}", self._serve, lambda: self._outbox.finished
+        )
 
     def __enter__(self) -> Self:
         try:
             socket.create_server((self._host, self._port)).close()
         except OSError as fault:
             remedy = "Is another program listening there?"
-            raise OutputError(f"can't serve {self.url}: {fault.strerror}", key="opcua", remedy=remedy) from None
+            raise OutputError(
+                f"can't serve {self.url}: {fault.strerror}", key="opcua", remedy=remedy
+            ) from None
         self._supervisor.start("opcua", "Are certificate and key what they should be?")
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self._outbox.close()
         self._supervisor.join()
@@ -90,17 +100,25 @@ class OpcUaSink:
         self._outbox.put(message)
 
     def state(self) -> SinkState:
-        """Connected clients, messages written, what the arm acknowledged last, and whether the server is in order."""
+        """Connected clients, messages written, what the arm acknowledged last, and whether the
+        server is in order.
+        """
         binary = self._server.bserver if self._server else None
         clients = len(binary.clients) if binary else 0
         sequence, target = self._acknowledged
-        detail = f"acknowledged: message {sequence}, ore {target}" if sequence else "nothing acknowledged"
+        detail = (
+            f"acknowledged: message {sequence}, ore {target}"
+            if sequence
+            else "nothing acknowledged"
+        )
         count = self._sent, self._outbox.dropped
         watched = self._supervisor.alarm, self._supervisor.restarts
         return SinkState("OPC UA", self.url, clients > 0, clients, *count, detail, *watched)
 
     async def _serve(self) -> None:
-        """One life of the server: it ends when the outbox is finished, or with the fault of any of its tasks."""
+        """One life of the server: it ends when the outbox is finished, or with the fault of any of
+        its tasks.
+        """
         server = await _make_server(self.url, self._security)
         nodes = await _add_nodes(server)
         await self._write(server, nodes, self._latest.current())
@@ -133,14 +151,20 @@ class OpcUaSink:
             await _write(server, nodes[variable.name], value)
 
     async def _beat(self, server: Server, nodes: Mapping[str, Node]) -> None:
-        """Count the heartbeat up, and look for acknowledgements, as long as the server's loop runs."""
+        """Count the heartbeat up, and look for acknowledgements, as long as the server's loop
+        runs.
+        """
         heartbeat, *acknowledgements = CONTROL
         count = 0
         while True:
             count = (count + 1) % 2**32
-            await _write(server, nodes[heartbeat.name], _data_value(heartbeat, count, datetime.now(UTC)))
+            await _write(
+                server, nodes[heartbeat.name], _data_value(heartbeat, count, datetime.now(UTC))
+            )
             self._supervisor.beat()
-            sequence, target = (_whole_number(server, nodes[variable.name]) for variable in acknowledgements)
+            sequence, target = (
+                _whole_number(server, nodes[variable.name]) for variable in acknowledgements
+            )
             self._acknowledged = sequence, target
             await asyncio.sleep(HEARTBEAT_S)
 
@@ -149,12 +173,18 @@ async def _write(server: Server, node: Node, value: ua.DataValue) -> None:
     """Set a value, or raise: a value left as it was beside new ones would be a torn message."""
     from asyncua import ua
 
-    status = await server.iserver.aspace.write_attribute_value(node.nodeid, ua.AttributeIds.Value, value)
+    status = await server.iserver.aspace.write_attribute_value(
+        node.nodeid, ua.AttributeIds.Value, value
+    )
     status.check()
 
 
-def _data_value(variable: Variable, value: Any, now: datetime, certain: bool = True) -> ua.DataValue:
-    """A value of the model; Uncertain keeps the value for the client, where Bad would make it null."""
+def _data_value(
+    variable: Variable, value: Any, now: datetime, certain: bool = True
+) -> ua.DataValue:
+    """A value of the model; Uncertain keeps the value for the client, where Bad would make it
+    null.
+    """
     from asyncua import ua
 
     variant = ua.Variant(value, ua.VariantType[variable.type], is_array=isinstance(value, list))
@@ -184,9 +214,13 @@ async def _make_server(url: str, security: OpcUaSecurity | None) -> Server:
     server.set_server_name("stereo-ore")
     await server.set_application_uri(APPLICATION_URI)
     with_users = security is not None and security.users is not None
-    server.set_identity_tokens([ua.UserNameIdentityToken if with_users else ua.AnonymousIdentityToken])
+    server.set_identity_tokens(
+        [ua.UserNameIdentityToken if with_users else ua.AnonymousIdentityToken]
+    )
     kind = ua.SecurityPolicyType
-    server.set_security_policy([kind.Basic256Sha256_SignAndEncrypt if security else kind.NoSecurity])
+    server.set_security_policy(
+        [kind.Basic256Sha256_SignAndEncrypt if security else kind.NoSecurity]
+    )
     if security is not None and security.trusted is not None:
         server.set_certificate_validator(await _validator(security.trusted))
     return server
@@ -199,7 +233,9 @@ async def _validator(trusted: Path) -> Any:
 
     store = TrustStore([trusted], [])
     await store.load()
-    options = CertificateValidatorOptions.TRUSTED_VALIDATION | CertificateValidatorOptions.PEER_CLIENT
+    options = (
+        CertificateValidatorOptions.TRUSTED_VALIDATION | CertificateValidatorOptions.PEER_CLIENT
+    )
     return CertificateValidator(options, store)
 
 
@@ -214,5 +250,12 @@ async def _add_nodes(server: Server) -> dict[str, Node]:
     now = datetime.now(UTC)
     for variable in CONTROL:
         await _write(server, nodes[variable.name], _data_value(variable, 0, now))
-    guard(server, {nodes[variable.name].nodeid for variable in CONTROL if variable.folder == "Acknowledgement"})
+    guard(
+        server,
+        {
+            nodes[variable.name].nodeid
+            for variable in CONTROL
+            if variable.folder == "Acknowledgement"
+        },
+    )
     return nodes

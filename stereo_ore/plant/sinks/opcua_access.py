@@ -1,7 +1,9 @@
-"""What OPC UA clients may do: who may connect, which writes are refused, and parts of arrays by IndexRange.
+"""What OPC UA clients may do: who may connect, which writes are refused, and parts of arrays by
+IndexRange.
 
-asyncua 2.1 knows no IndexRange (every range is answered with the whole array and status Good) and no ranks (a list is
-taken for a scalar). Both are settled here, before a client's request reaches the address space.
+asyncua 2.1 knows no IndexRange (every range is answered with the whole array and status Good) and
+no ranks (a list is taken for a scalar). Both are settled here, before a client's request reaches
+the address space.
 """
 
 from __future__ import annotations
@@ -38,7 +40,10 @@ class _Attributes:
     def read(self, params: ua.ReadParameters) -> list[ua.DataValue]:
         """Values of attributes, or the parts of them that are asked for."""
         values = self._service.read(params)
-        return [part(value, item.IndexRange) for value, item in zip(values, params.NodesToRead, strict=True)]
+        return [
+            part(value, item.IndexRange)
+            for value, item in zip(values, params.NodesToRead, strict=True)
+        ]
 
     async def write(self, params: ua.WriteParameters, **user: Any) -> list[ua.StatusCode]:
         """Write what fits its node; a status code for each."""
@@ -49,7 +54,9 @@ class _Attributes:
             if refusal := self._refusal(item):
                 results.append(ua.StatusCode(refusal))
             else:
-                results += await self._service.write(ua.WriteParameters(NodesToWrite=[item]), **user)
+                results += await self._service.write(
+                    ua.WriteParameters(NodesToWrite=[item]), **user
+                )
         return results
 
     def _refusal(self, item: ua.WriteValue) -> int:
@@ -64,10 +71,11 @@ class _Attributes:
 
 
 def part(value: ua.DataValue, index_range: str | None) -> ua.DataValue:
-    """The elements of an array, or characters of a string, that a NumericRange names (OPC 10000-4, 7.27).
+    """The elements of an array, or characters of a string, that a NumericRange names (OPC 10000-4,
+    7.27).
 
-    A range that ends beyond the value gives what there is of it; one that begins there, or has another number of
-    dimensions, is BadIndexRangeNoData.
+    A range that ends beyond the value gives what there is of it; one that begins there, or has
+    another number of dimensions, is BadIndexRangeNoData.
     """
     from asyncua import ua
 
@@ -82,31 +90,46 @@ def part(value: ua.DataValue, index_range: str | None) -> ua.DataValue:
     whole = value.Value.Value
     if not isinstance(whole, list | str | bytes) or first >= len(whole):
         return ua.DataValue(StatusCode=ua.StatusCode(ua.StatusCodes.BadIndexRangeNoData))
-    return replace(value, Value=replace(value.Value, Value=whole[first : last + 1], Dimensions=None))
+    return replace(
+        value, Value=replace(value.Value, Value=whole[first : last + 1], Dimensions=None)
+    )
 
 
 def _whole_items_only(create: Callable[..., Any]) -> Callable[..., Any]:
     """Refuse to monitor a part of an array; a client may monitor the whole and take its part."""
 
-    async def create_whole(params: ua.CreateMonitoredItemsParameters) -> list[ua.MonitoredItemCreateResult]:
+    async def create_whole(
+        params: ua.CreateMonitoredItemsParameters,
+    ) -> list[ua.MonitoredItemCreateResult]:
         from asyncua import ua
 
         whole = [item for item in params.ItemsToCreate if not item.ItemToMonitor.IndexRange]
         made = iter(await create(replace(params, ItemsToCreate=whole)) if whole else ())
-        refusal = ua.MonitoredItemCreateResult(StatusCode=ua.StatusCode(ua.StatusCodes.BadNotSupported))
-        return [refusal if item.ItemToMonitor.IndexRange else next(made) for item in params.ItemsToCreate]
+        refusal = ua.MonitoredItemCreateResult(
+            StatusCode=ua.StatusCode(ua.StatusCodes.BadNotSupported)
+        )
+        return [
+            refusal if item.ItemToMonitor.IndexRange else next(made)
+            for item in params.ItemsToCreate
+        ]
 
     return create_whole
 
 
 class Users:
-    """Who may connect: anybody without a list of users, else those on it with their password. Nobody is an admin."""
+    """Who may connect: anybody without a list of users, else those on it with their password.
+    Nobody is an admin.
+    """
 
     def __init__(self, passwords: Mapping[str, str] | None) -> None:
         self._passwords = passwords
 
     def get_user(
-        self, iserver: Any, username: str | None = None, password: str | None = None, certificate: Any = None
+        self,
+        iserver: Any,
+        username: str | None = None,
+        password: str | None = None,
+        certificate: Any = None,
     ) -> Any:
         """Give an ordinary user, or None for a login that is refused."""
         from asyncua.server.user_managers import User, UserRole
@@ -114,7 +137,9 @@ class Users:
         if self._passwords is None:
             return User(role=UserRole.User)
         expected = self._passwords.get(username or "")
-        if expected is None or not hmac.compare_digest(expected.encode(), (password or "").encode()):
+        if expected is None or not hmac.compare_digest(
+            expected.encode(), (password or "").encode()
+        ):
             log.warning("OPC UA: login refused")
             return None
         return User(role=UserRole.User, name=username)

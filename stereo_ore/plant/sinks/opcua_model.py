@@ -1,11 +1,12 @@
 """The OPC UA information model: which nodes there are, and what each holds for a message.
 
-Arrays have a fixed number of slots, as controllers want them; slots beyond `Targets.Count` hold NaN, so that a value
-read by mistake is no place to strike.
+Arrays have a fixed number of slots, as controllers want them; slots beyond `Targets.Count` hold
+NaN, so that a value read by mistake is no place to strike.
 
-`Targets.SequenceNumber` is written first and `Sequence` last. Who reads the nodes one by one reads `Sequence`, then
-the payload, then `SequenceNumber[0]`: the payload is whole when both are equal. Who reads all in one request, or
-groups the values of a subscription by source timestamp, gets them whole in any case.
+`Targets.SequenceNumber` is written first and `Sequence` last. Who reads the nodes one by one reads
+`Sequence`, then the payload, then `SequenceNumber[0]`: the payload is whole when both are equal.
+Who reads all in one request, or groups the values of a subscription by source timestamp, gets them
+whole in any case.
 """
 
 from __future__ import annotations
@@ -30,22 +31,29 @@ LARGEST_INT32 = 2**31 - 1
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit of UNECE Recommendation 20; `code` is its common code as the number that EUInformation wants."""
+    """A unit of UNECE Recommendation 20; `code` is its common code as the number that EUInformation
+    wants.
+    """
 
     name: str
     code: int
 
 
-UNITS = {"m": Unit("metre", 5067858), "m³": Unit("cubic metre", 5067857), "ns": Unit("nanosecond", 4404279)}
-"""MTR, MTQ, C47: the characters of the common code as one big-endian number (OPC 10000-8, 5.6.3)."""
+UNITS = {
+    "m": Unit("metre", 5067858),
+    "m³": Unit("cubic metre", 5067857),
+    "ns": Unit("nanosecond", 4404279),
+}
+"""MTR, MTQ, C47: the characters of the common code as one big-endian number (OPC 10000-8,
+5.6.3)."""
 
 
 @dataclass(frozen=True)
 class Variable:
     """A node: folder, name, OPC UA type, description, and its value for a message.
 
-    `length` is that of an array: None for a scalar, 0 for one that varies. `certain` is False for what means nothing
-    while no target is valid: such a node then has the status Uncertain.
+    `length` is that of an array: None for a scalar, 0 for one that varies. `certain` is False for
+    what means nothing while no target is valid: such a node then has the status Uncertain.
     """
 
     folder: str
@@ -59,7 +67,9 @@ class Variable:
     certain: bool = True
 
 
-def _slot(name: str, type: str, text: str, get: Callable[[Target], Any], empty: Any, unit: str = "") -> Variable:
+def _slot(
+    name: str, type: str, text: str, get: Callable[[Target], Any], empty: Any, unit: str = ""
+) -> Variable:
     """An array with a value a slot."""
 
     def value(message: Message) -> list[Any]:
@@ -70,18 +80,26 @@ def _slot(name: str, type: str, text: str, get: Callable[[Target], Any], empty: 
 
 
 def _vectors(
-    name: str, text: str, get: Callable[[Target], Iterable[float] | None], unit: str = "", frame: str = ""
+    name: str,
+    text: str,
+    get: Callable[[Target], Iterable[float] | None],
+    unit: str = "",
+    frame: str = "",
 ) -> Variable:
     """A flat array x0 y0 z0 x1 …: three values a slot."""
 
     def value(message: Message) -> list[float]:
-        used = [number for target in message.targets[:SLOTS] for number in (get(target) or (NAN,) * 3)]
+        used = [
+            number for target in message.targets[:SLOTS] for number in get(target) or (NAN,) * 3
+        ]
         return used + [NAN] * (3 * SLOTS - len(used))
 
     return Variable("Targets", name, "Double", text, value, unit, 3 * SLOTS, frame, certain=False)
 
 
-def _result(name: str, type: str, text: str, value: Callable[[Message], Any], **more: Any) -> Variable:
+def _result(
+    name: str, type: str, text: str, value: Callable[[Message], Any], **more: Any
+) -> Variable:
     return Variable("Result", name, type, text, value, **more)
 
 
@@ -103,28 +121,35 @@ PAYLOAD = (
         length=SLOTS,
     ),
     Variable("Targets", "Valid", "Boolean", "true while targets may be struck", lambda m: m.valid),
-    Variable("Targets", "Count", "UInt32", "slots in use, best target first", lambda m: len(m.targets[:SLOTS])),
+    Variable("Targets", "Count", "UInt32", "slots in use, best target first",
+    lambda m: len(m.targets[:SLOTS])),
     _slot("Id", "UInt32", "ore id in the frame; 0: slot not in use", lambda t: t.id, 0),
     _vectors("Position", "strike points x y z", lambda t: t.position_m, "m", "arm"),
     _vectors("Direction", "unit vectors the tool moves along", lambda t: t.direction, frame="arm"),
     _vectors("Size", "longest, middle, shortest; NaN unknown", lambda t: t.size_m, "m"),
-    _slot("Volume", "Double", "volume of the lump; NaN unknown", lambda t: NAN if t.volume_m3 is None else t.volume_m3,
+    _slot("Volume", "Double", "volume of the lump; NaN unknown",
+    lambda t: NAN if t.volume_m3 is None else t.volume_m3,
           NAN, "m³"),
-    _vectors("Sigma", "standard deviations of the centre of gravity; NaN unknown", lambda t: t.sigma_m, "m",
+    _vectors("Sigma", "standard deviations of the centre of gravity; NaN unknown",
+    lambda t: t.sigma_m, "m",
              "left_rectified"),
     _slot("Oversize", "Int16", "1 yes, 0 no, -1 unknown", lambda t: OVERSIZE[t.oversize], -1),
     _slot("Score", "Double", "quality of the strike", lambda t: t.score, NAN),
     _result("Frame", "String", "name of the frame", lambda m: m.frame or ""),
     _result("FrameIndex", "Int64", "number of the frame; -1: none", _index),
-    _result("FrameIndex32", "Int32", "FrameIndex for clients without 64 bits", lambda m: min(_index(m), LARGEST_INT32)),
-    _result("StampNs", "Int64", "camera's time of the frame; 0 unknown", lambda m: m.stamp_ns or 0, unit="ns"),
-    _result("Stamp", "DateTime", "StampNs to the microsecond; null time: unknown", lambda m: _time(m.stamp_ns)),
+    _result("FrameIndex32", "Int32", "FrameIndex for clients without 64 bits",
+    lambda m: min(_index(m), LARGEST_INT32)),
+    _result("StampNs", "Int64", "camera's time of the frame; 0 unknown", lambda m: m.stamp_ns or 0,
+    unit="ns"),
+    _result("Stamp", "DateTime", "StampNs to the microsecond; null time: unknown",
+    lambda m: _time(m.stamp_ns)),
     _result("Published", "DateTime", "when it was published", lambda m: _time(m.published_ns)),
     _result("ValidUntil", "DateTime", "strike no later", lambda m: _time(m.valid_until_ns)),
     _result("Status", "String", "ok, degraded, empty, failed, expired …", lambda m: m.status),
     _result("Reasons", "String", "codes", lambda m: list(m.reasons), length=0),
     _result("Session", "String", "changes when Sequence begins anew", lambda m: m.origin.session),
-    _result("TransformId", "String", "the arm_from_camera in use", lambda m: m.origin.transform_id or ""),
+    _result("TransformId", "String", "the arm_from_camera in use",
+    lambda m: m.origin.transform_id or ""),
     _result("Replay", "Boolean", "true: a recording, not the camera", lambda m: m.origin.replay),
     _result("Json", "String", "the whole message in one value", lambda m: m.line()),
     _result("Sequence", "UInt32", "number of the message; last written", lambda m: m.sequence),
@@ -133,7 +158,19 @@ PAYLOAD = (
 
 CONTROL = (
     _result("Heartbeat", "UInt32", "counts up twice a second while the program lives", lambda m: 0),
-    Variable("Acknowledgement", "AcknowledgedSequence", "UInt32", "arm: Sequence of the message in use", lambda m: 0),
-    Variable("Acknowledgement", "AcknowledgedTarget", "UInt32", "arm: Id of the target being struck", lambda m: 0),
+    Variable(
+        "Acknowledgement",
+        "AcknowledgedSequence",
+        "UInt32",
+        "arm: Sequence of the message in use",
+        lambda m: 0,
+    ),
+    Variable(
+        "Acknowledgement",
+        "AcknowledgedTarget",
+        "UInt32",
+        "arm: Id of the target being struck",
+        lambda m: 0,
+    ),
 )
 """What is not part of a message."""

@@ -1,7 +1,7 @@
 """The OPC UA model as a NodeSet2 file: what the server serves, and what engineering tools import.
 
-Source: OPC 10000-6, Annex F (UANodeSet.xsd). Units are written as ``EUInformation`` under its XML encoding, i=888:
-clients read a value under its data type, i=887, as null.
+Source: OPC 10000-6, Annex F (UANodeSet.xsd). Units are written as ``EUInformation`` under its XML
+encoding, i=888: clients read a value under its data type, i=887, as null.
 """
 
 from __future__ import annotations
@@ -31,26 +31,41 @@ ALIASES = {
     "HasProperty": "i=46",
     "HasComponent": "i=47",
 }
-OBJECTS, FOLDER, OBJECT, VARIABLE, PROPERTY, ANALOG = "i=85", "i=61", "i=58", "i=63", "i=68", "i=17497"
+OBJECTS, FOLDER, OBJECT, VARIABLE, PROPERTY, ANALOG = (
+    "i=85",
+    "i=61",
+    "i=58",
+    "i=63",
+    "i=68",
+    "i=17497",
+)
 EU_ENCODING = "i=888"
 ROOT = "StereoOre"
 READ, READ_WRITE = "1", "3"
 
 
 def nodeset() -> str:
-    """UANodeSet XML of the model, the same at every call; namespace 1 of the file is `NAMESPACE`."""
+    """UANodeSet XML of the model, the same at every call; namespace 1 of the file is
+    `NAMESPACE`.
+    """
     root = Element("UANodeSet", {"xmlns": NODESET})
     SubElement(SubElement(root, "NamespaceUris"), "Uri").text = NAMESPACE
     model = SubElement(SubElement(root, "Models"), "Model", ModelUri=NAMESPACE, Version="2.0.0")
     model.set("PublicationDate", "2026-11-29T00:00:00Z")
-    base = {"ModelUri": "http://opcfoundation.org/UA/", "Version": "1.04", "PublicationDate": "2018-05-15T00:00:00Z"}
+    base = {
+        "ModelUri": "http://opcfoundation.org/UA/",
+        "Version": "1.04",
+        "PublicationDate": "2018-05-15T00:00:00Z",
+    }
     SubElement(model, "RequiredModel", base)
     aliases = SubElement(root, "Aliases")
     for name, identifier in ALIASES.items():
         SubElement(aliases, "Alias", Alias=name).text = identifier
     _node(root, "UAObject", ROOT, ROOT, OBJECT, (OBJECTS, "Organizes"))
     for folder in dict.fromkeys(variable.folder for variable in (*PAYLOAD, *CONTROL)):
-        _node(root, "UAObject", f"{ROOT}.{folder}", folder, FOLDER, (f"ns=1;s={ROOT}", "HasComponent"))
+        _node(
+            root, "UAObject", f"{ROOT}.{folder}", folder, FOLDER, (f"ns=1;s={ROOT}", "HasComponent")
+        )
     for variable in (*PAYLOAD, *CONTROL):
         _variable(root, variable)
     ElementTree.indent(root)
@@ -58,7 +73,14 @@ def nodeset() -> str:
 
 
 def _node(
-    root: Element, kind: str, id: str, name: str, type: str, parent: tuple[str, str], text: str = "", space: int = 1
+    root: Element,
+    kind: str,
+    id: str,
+    name: str,
+    type: str,
+    parent: tuple[str, str],
+    text: str = "",
+    space: int = 1,
 ) -> Element:
     """A node with its parent, given as node id and type of reference."""
     browse_name = f"{space}:{name}" if space else name
@@ -78,7 +100,15 @@ def _node(
 def _variable(root: Element, variable: Variable) -> None:
     id = f"{ROOT}.{variable.folder}.{variable.name}"
     parent = f"ns=1;s={ROOT}.{variable.folder}", "HasComponent"
-    node = _node(root, "UAVariable", id, variable.name, ANALOG if variable.unit else VARIABLE, parent, variable.text)
+    node = _node(
+        root,
+        "UAVariable",
+        id,
+        variable.name,
+        ANALOG if variable.unit else VARIABLE,
+        parent,
+        variable.text,
+    )
     node.set("DataType", variable.type)
     node.set("ValueRank", "-1" if variable.length is None else "1")
     if variable.length is not None:
@@ -87,7 +117,9 @@ def _variable(root: Element, variable: Variable) -> None:
     node.set("AccessLevel", access)
     node.set("UserAccessLevel", access)
     if variable.frame:
-        frame = _node(root, "UAVariable", f"{id}.Frame", "Frame", PROPERTY, (f"ns=1;s={id}", "HasProperty"))
+        frame = _node(
+            root, "UAVariable", f"{id}.Frame", "Frame", PROPERTY, (f"ns=1;s={id}", "HasProperty")
+        )
         frame.set("DataType", "String")
         SubElement(SubElement(frame, "Value"), f"{{{TYPES}}}String").text = variable.frame
     if variable.unit:
@@ -100,7 +132,9 @@ def _unit(root: Element, id: str, unit: str) -> None:
     node = _node(root, "UAVariable", f"{id}.Unit", "EngineeringUnits", PROPERTY, parent, space=0)
     node.set("DataType", "EUInformation")
     wrapper = SubElement(SubElement(node, "Value"), f"{{{TYPES}}}ExtensionObject")
-    SubElement(SubElement(wrapper, f"{{{TYPES}}}TypeId"), f"{{{TYPES}}}Identifier").text = EU_ENCODING
+    SubElement(
+        SubElement(wrapper, f"{{{TYPES}}}TypeId"), f"{{{TYPES}}}Identifier"
+    ).text = EU_ENCODING
     body = SubElement(SubElement(wrapper, f"{{{TYPES}}}Body"), f"{{{TYPES}}}EUInformation")
     SubElement(body, f"{{{TYPES}}}NamespaceUri").text = UNECE
     SubElement(body, f"{{{TYPES}}}UnitId").text = str(UNITS[unit].code)

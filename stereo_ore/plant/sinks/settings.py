@@ -55,7 +55,9 @@ class TcpSettings(_Section):
 
 
 class ModbusSettings(_Section):
-    """Modbus TCP, which knows neither users nor encryption; beyond this machine only for the clients that are named."""
+    """Modbus TCP, which knows neither users nor encryption; beyond this machine only for the
+    clients that are named.
+    """
 
     host: str = LOOPBACK
     port: Port = 502
@@ -79,10 +81,13 @@ def load_sinks(path: Path | None, **ports: int | None) -> SinksSettings:
     Raises
     ------
     ConfigError
-        For unknown keys, values out of range, and addresses beyond this machine without their safeguards.
+        For unknown keys, values out of range, and addresses beyond this machine without their
+        safeguards.
     """
     data: dict[str, Any] = {} if path is None else load_yaml(path, ConfigError)
-    given = {name: {"host": LOOPBACK, "port": port} for name, port in ports.items() if port is not None}
+    given = {
+        name: {"host": LOOPBACK, "port": port} for name, port in ports.items() if port is not None
+    }
     origin = path or Path("command line")
     settings = validate(SinksSettings, {**data, **given}, origin, ConfigError)
     settings = _resolve(settings, path.parent if path else Path())
@@ -105,7 +110,9 @@ def _resolve(settings: SinksSettings, folder: Path) -> SinksSettings:
         paths = {name: folder / value for name, value in part if isinstance(value, Path)}
         return part.model_copy(update=paths)
 
-    return settings.model_copy(update={name: section(part) for name, part in settings if isinstance(part, _Section)})
+    return settings.model_copy(
+        update={name: section(part) for name, part in settings if isinstance(part, _Section)}
+    )
 
 
 def _check_addresses(settings: SinksSettings, origin: Path) -> None:
@@ -126,26 +133,40 @@ def _check_addresses(settings: SinksSettings, origin: Path) -> None:
         if missing := [field for field in fields if not getattr(part, field)]:
             remedy = f"Give {', '.join(f'{name}.{field}' for field in missing)}, or use 127.0.0.1"
             raise ConfigError(problem, file=origin, key=f"{name}.host", remedy=remedy)
-    if settings.opcua and (settings.opcua.certificate is None) != (settings.opcua.private_key is None):
-        raise ConfigError("certificate and private_key belong together", file=origin, key="opcua", remedy="Give both")
+    if settings.opcua and (settings.opcua.certificate is None) != (
+        settings.opcua.private_key is None
+    ):
+        raise ConfigError(
+            "certificate and private_key belong together",
+            file=origin,
+            key="opcua",
+            remedy="Give both",
+        )
     if settings.opcua and settings.opcua.users and settings.opcua.certificate is None:
         remedy = "Give opcua.certificate and opcua.private_key"
-        raise ConfigError("passwords need encryption", file=origin, key="opcua.users", remedy=remedy)
+        raise ConfigError(
+            "passwords need encryption", file=origin, key="opcua.users", remedy=remedy
+        )
 
 
 def read_users(path: Path) -> dict[str, str]:
     """Passwords by user from lines ``name:password``; the file must be readable by its owner only.
 
-    Blanks around name and password are no part of them, so that ``name: password`` is what it looks like.
+    Blanks around name and password are no part of them, so that ``name: password`` is what it looks
+    like.
     """
     text = read_text(path, ConfigError)
     if os.name == "posix" and path.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
-        raise ConfigError("holds passwords but others may read it", file=path, remedy=f"chmod 600 {path}")
+        raise ConfigError(
+            "holds passwords but others may read it", file=path, remedy=f"chmod 600 {path}"
+        )
     users: dict[str, str] = {}
     for number, line in enumerate(text.splitlines(), 1):
         name, colon, password = (part.strip() for part in line.partition(":"))
         if line.strip() and not (name and colon and password):
-            raise ConfigError(f"line {number} is not name:password", file=path, remedy="One user a line")
+            raise ConfigError(
+                f"line {number} is not name:password", file=path, remedy="One user a line"
+            )
         if line.strip():
             users[name] = password
     if not users:
@@ -154,8 +175,14 @@ def read_users(path: Path) -> dict[str, str]:
 
 
 def open_sinks(settings: SinksSettings, origin: Origin = Origin()) -> list[TargetSink]:  # noqa: B008
-    """A sink for each consumer in the settings, not yet entered; `origin` is what all messages will share."""
-    return [make(part, origin) for name, make in MAKERS.items() if (part := getattr(settings, name)) is not None]
+    """A sink for each consumer in the settings, not yet entered; `origin` is what all messages will
+    share.
+    """
+    return [
+        make(part, origin)
+        for name, make in MAKERS.items()
+        if (part := getattr(settings, name)) is not None
+    ]
 
 
 def _opcua(settings: OpcUaSettings, origin: Origin) -> TargetSink:
@@ -164,16 +191,22 @@ def _opcua(settings: OpcUaSettings, origin: Origin) -> TargetSink:
     security = None
     if settings.certificate and settings.private_key:
         users = read_users(settings.users) if settings.users else None
-        security = OpcUaSecurity(settings.certificate, settings.private_key, settings.trusted, users)
+        security = OpcUaSecurity(
+            settings.certificate, settings.private_key, settings.trusted, users
+        )
     return OpcUaSink(settings.host, settings.port, security, origin)
 
 
 def _mqtt(settings: MqttSettings, origin: Origin) -> TargetSink:
     from stereo_ore.plant.sinks.mqtt import MqttLogin, MqttSink
 
-    user, password = next(iter(read_users(settings.users).items())) if settings.users else (None, None)
+    user, password = (
+        next(iter(read_users(settings.users).items())) if settings.users else (None, None)
+    )
     login = MqttLogin(user, password, settings.authority)
-    return MqttSink(settings.host, settings.port, settings.topic, login, qos=settings.qos, origin=origin)
+    return MqttSink(
+        settings.host, settings.port, settings.topic, login, qos=settings.qos, origin=origin
+    )
 
 
 def _tcp(settings: TcpSettings, origin: Origin) -> TargetSink:

@@ -1,4 +1,6 @@
-"""A server in a thread of its own that is watched: it is started again when it fails, and seen when it hangs."""
+"""A server in a thread of its own that is watched: it is started again when it fails, and seen when
+it hangs.
+"""
 
 from __future__ import annotations
 
@@ -20,19 +22,26 @@ SILENT_S = 2.0
 
 
 class Supervisor:
-    """Runs the coroutine `serve` until `finished`; each end of it before that is a fault and followed by a new start.
+    """Runs the coroutine `serve` until `finished`; each end of it before that is a fault and
+    followed by a new start.
 
     Parameters
     ----------
     name : str
         For messages.
     serve : callable
-        One life of the server: calls `up` when it serves, and `beat` at least once a second from then on.
+        One life of the server: calls `up` when it serves, and `beat` at least once a second from
+        then on.
     finished : callable
         True when no further life is wanted.
     """
 
-    def __init__(self, name: str, serve: Callable[[], Coroutine[Any, Any, None]], finished: Callable[[], bool]) -> None:
+    def __init__(
+        self,
+        name: str,
+        serve: Callable[[], Coroutine[Any, Any, None]],
+        finished: Callable[[], bool],
+    ) -> None:
         self.restarts = 0
         self._name, self._serve, self._finished = name, serve, finished
         self._ready = threading.Event()
@@ -50,7 +59,9 @@ class Supervisor:
         """
         self._thread.start()
         if not self._ready.wait(STARTING_S) or self._fault:
-            raise OutputError(f"can't serve {self._name}: {self._fault or 'no answer'}", key=key, remedy=remedy)
+            raise OutputError(
+                f"can't serve {self._name}: {self._fault or 'no answer'}", key=key, remedy=remedy
+            )
 
     def join(self) -> None:
         """Wait for the end."""

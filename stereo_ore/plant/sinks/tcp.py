@@ -1,4 +1,6 @@
-"""Targets as JSON lines over TCP: connect, and read a line a message and a heartbeat line a second."""
+"""Targets as JSON lines over TCP: connect, and read a line a message and a heartbeat line a
+second.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,8 @@ HEARTBEAT_S = 1.0
 SEND_TIMEOUT_S = 5.0
 MAX_CONSUMERS = 16
 HANGING_S = 2.5
-"""A consumer that has taken nothing for this time, in which two heartbeats were due, gives its place to one waiting."""
+"""A consumer that has taken nothing for this time, in which two heartbeats were due, gives its
+place to one waiting."""
 CLOSING_S = 1.0
 """Time a consumer has to take the last messages."""
 
@@ -49,14 +52,19 @@ class TcpSink:
         except OSError as fault:
             remedy = "Is another program listening there?"
             raise OutputError(
-                f"can't listen on {self.host}:{self.port}: {fault.strerror}", key="tcp", remedy=remedy
+                f"can't listen on {self.host}:{self.port}: {fault.strerror}",
+                key="tcp",
+                remedy=remedy,
             ) from None
         self.port = self._server.getsockname()[1]
         threading.Thread(target=self._accept, daemon=True, name="tcp-accept").start()
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         # A thread that waits in accept() is not woken by close() alone.
         try:
@@ -105,7 +113,9 @@ class TcpSink:
                 consumer.thread.start()
 
     def _make_room(self) -> bool:
-        """Cut off the consumer that has hung for longest; False when none hangs. The lock is held."""
+        """Cut off the consumer that has hung for longest; False when none hangs. The lock is
+        held.
+        """
         longest = min(self._consumers, key=lambda consumer: consumer.taken)
         if time.monotonic() - longest.taken < HANGING_S:
             return False
@@ -126,9 +136,13 @@ class TcpSink:
 
 
 class _Consumer:
-    """One connection. Whoever takes nothing for `SEND_TIMEOUT_S` is cut off, and may connect again."""
+    """One connection. Whoever takes nothing for `SEND_TIMEOUT_S` is cut off, and may connect
+    again.
+    """
 
-    def __init__(self, connection: socket.socket, address: str, leave: Callable[[_Consumer], None]) -> None:
+    def __init__(
+        self, connection: socket.socket, address: str, leave: Callable[[_Consumer], None]
+    ) -> None:
         self.outbox = Outbox()
         self.address = address
         self.sent = 0
@@ -161,4 +175,6 @@ class _Consumer:
 
 
 def _heartbeat() -> bytes:
-    return json.dumps({"schema": "stereo_ore/heartbeat/1", "time_ns": time.time_ns()}).encode() + b"\n"
+    return (
+        json.dumps({"schema": "stereo_ore/heartbeat/1", "time_ns": time.time_ns()}).encode() + b"\n"
+    )

@@ -1,4 +1,6 @@
-"""Outlier filters: a mask and a score for each point, never a smaller cloud. The registry has a line a method."""
+"""Outlier filters: a mask and a score for each point, never a smaller cloud. The registry has a
+line a method.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ __all__ = ["METHODS", "PROGRAMS", "Method", "apply", "apply_like", "parameters",
 
 @dataclass(frozen=True)
 class Method:
-    """A filter: its parameters' model, its function, and a preset that differs from the model's defaults."""
+    """A filter: its parameters' model, its function, and a preset that differs from the model's
+    defaults.
+    """
 
     params: type[StageConfig]
     function: Callable[[VoxelCloud, Any], FilterResult]
@@ -72,8 +76,9 @@ def parameters(config: FilterConfig) -> StageConfig:
 def apply(voxels: VoxelCloud, config: FilterConfig) -> FilterResult:
     """Decide which points of a cloud are noise.
 
-    Rows that are not finite are removed with an infinite score; points at the same place are judged once, together;
-    points are brought into an order of their own, so that the result does not depend on the given one.
+    Rows that are not finite are removed with an infinite score; points at the same place are judged
+    once, together; points are brought into an order of their own, so that the result does not
+    depend on the given one.
 
     Parameters
     ----------
@@ -83,8 +88,8 @@ def apply(voxels: VoxelCloud, config: FilterConfig) -> FilterResult:
     Returns
     -------
     FilterResult
-        `keep` (M,), `score` (M,), higher is noisier; `diagnostics` with counts, the parameters and what the method
-        says about its decision.
+        `keep` (M,), `score` (M,), higher is noisier; `diagnostics` with counts, the parameters and
+        what the method says about its decision.
     """
     params = parameters(config)
     finite = _finite(voxels.xyz)
@@ -96,9 +101,15 @@ def apply(voxels: VoxelCloud, config: FilterConfig) -> FilterResult:
     else:
         result = METHODS[config.method].function(_take(voxels, first), params)
     keep[order], score[order] = result.keep[group], result.score[group]
-    counts = {"points": len(voxels), "not_finite": int((~finite).sum()), "duplicates": len(order) - len(first)}
+    counts = {
+        "points": len(voxels),
+        "not_finite": int((~finite).sum()),
+        "duplicates": len(order) - len(first),
+    }
     settings = {"method": config.method, "params": params.model_dump(mode="json")}
-    return FilterResult(keep, score, counts | {"kept": int(keep.sum())} | settings | dict(result.diagnostics))
+    return FilterResult(
+        keep, score, counts | {"kept": int(keep.sum())} | settings | dict(result.diagnostics)
+    )
 
 
 def prepared(voxels: VoxelCloud) -> tuple[VoxelCloud, I32]:
@@ -113,7 +124,9 @@ def _finite(xyz: F32) -> Mask:
 
 
 def _distinct(xyz: F32, finite: Mask) -> tuple[I32, I32, I32]:
-    """Finite rows in a spatially coherent order, the first row of each place, and the place of each ordered row."""
+    """Finite rows in a spatially coherent order, the first row of each place, and the place of each
+    ordered row.
+    """
     rows = np.flatnonzero(finite).astype(np.int32)
     order = rows[_order(xyz[rows])]
     places = xyz[order]
@@ -123,10 +136,11 @@ def _distinct(xyz: F32, finite: Mask) -> tuple[I32, I32, I32]:
 
 
 def _order(xyz: F32) -> npt.NDArray[np.int64]:
-    """Rows in the order of their coarse cell, then x, y, z, then given: as by `lexsort`, at a fraction of its time.
+    """Rows in the order of their coarse cell, then x, y, z, then given: as by `lexsort`, at a
+    fraction of its time.
 
-    Cell and x are packed into one number, since few points have both in common. The bits of a float sort as those of an
-    integer once those of the negative ones are turned over.
+    Cell and x are packed into one number, since few points have both in common. The bits of a float
+    sort as those of an integer once those of the negative ones are turned over.
     """
     bits = (xyz[:, 0] + np.float32(0)).view(np.int32)
     ascending = np.where(bits < 0, bits ^ np.int32(2**31 - 1), bits)
@@ -140,7 +154,9 @@ def _order(xyz: F32) -> npt.NDArray[np.int64]:
 
 
 def _coarse_cell(xyz: F32, cells: int = 64) -> npt.NDArray[np.int64]:
-    """Key (M,) of a coarse grid over the cloud: points in its order are near to each other, which speeds the search."""
+    """Key (M,) of a coarse grid over the cloud: points in its order are near to each other, which
+    speeds the search.
+    """
     if not len(xyz):
         return np.zeros(0, np.int64)
     low, high = np.quantile(xyz, (0.01, 0.99), axis=0)

@@ -1,4 +1,6 @@
-"""The default filter: density at several K, distance to the surface around, and the matcher's doubts."""
+"""The default filter: density at several K, distance to the surface around, and the matcher's
+doubts.
+"""
 
 from __future__ import annotations
 
@@ -15,9 +17,10 @@ from stereo_ore.types import F32, FilterResult, VoxelCloud
 def adaptive(voxels: VoxelCloud, params: AdaptiveParams) -> FilterResult:
     """Remove points whose noise probability is above the threshold; the score is that probability.
 
-    A stereo cloud is judged by the matcher's cues first, and by its neighbours where those leave a doubt; a bare one by
-    its neighbours alone (`stereo.StereoEvidence`, `evidence.BareEvidence`). Each pass weighs neighbours by how likely
-    the pass before found each to be surface: what it took for noise no longer bends the planes fitted to them.
+    A stereo cloud is judged by the matcher's cues first, and by its neighbours where those leave a
+    doubt; a bare one by its neighbours alone (`stereo.StereoEvidence`, `evidence.BareEvidence`).
+    Each pass weighs neighbours by how likely the pass before found each to be surface: what it took
+    for noise no longer bends the planes fitted to them.
     """
     name, evidence = look(voxels, params.k)
     scorer = load(name) if params.scorer is None else read(params.scorer)
@@ -37,7 +40,9 @@ def run_passes(evidence: Evidence, scorer: Scorer) -> F32:
     """Noise probability (M,) after all passes of a scorer."""
     if tuple(scorer.features) != evidence.names:
         remedy = "Fit it anew with tune --train geometry, or stereo for clouds of a matcher"
-        raise ConfigError("it was fitted to other features", key="filter.params.scorer", remedy=remedy)
+        raise ConfigError(
+            "it was fitted to other features", key="filter.params.scorer", remedy=remedy
+        )
     noise = evidence.prior
     for number, network in enumerate(scorer.passes):
         noise = judge(evidence, noise, network, number)

@@ -15,7 +15,8 @@ def none(voxels: VoxelCloud, params: NoneParams) -> FilterResult:
 
 
 def statistical(voxels: VoxelCloud, params: StatisticalParams) -> FilterResult:
-    """Remove points whose mean neighbour distance is above mean + ratio · standard deviation over the cloud.
+    """Remove points whose mean neighbour distance is above mean + ratio · standard deviation over
+    the cloud.
 
     The score is that mean distance in standard deviations from its mean (Rusu et al. 2008).
     """
@@ -27,8 +28,8 @@ def statistical(voxels: VoxelCloud, params: StatisticalParams) -> FilterResult:
 def radius(voxels: VoxelCloud, params: RadiusParams) -> FilterResult:
     """Remove points with fewer than n neighbours within the radius.
 
-    n points lie within r exactly when the n-th neighbour does, so the search is bounded however dense the cloud is.
-    The score is the n-th neighbour's distance over the radius.
+    n points lie within r exactly when the n-th neighbour does, so the search is bounded however
+    dense the cloud is. The score is the n-th neighbour's distance over the radius.
     """
     neighbours = search(voxels.xyz, params.n)
     r = params.radius_m or params.spacings * spacing(neighbours)
@@ -40,7 +41,9 @@ def radius(voxels: VoxelCloud, params: RadiusParams) -> FilterResult:
 
 
 def lof(voxels: VoxelCloud, params: LofParams) -> FilterResult:
-    """Remove points whose local reachability density is well below that of their neighbours (Breunig et al. 2000)."""
+    """Remove points whose local reachability density is well below that of their neighbours
+    (Breunig et al. 2000).
+    """
     neighbours = search(voxels.xyz, params.k)
     reach = np.maximum(neighbours.distance, neighbours.distance[:, -1][neighbours.index])
     lrd: F32 = 1 / np.maximum(reach.mean(1), np.finfo(np.float32).tiny)

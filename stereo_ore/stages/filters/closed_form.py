@@ -1,4 +1,6 @@
-"""The adaptive filter without anything learned: one equation over density, local planes and the matcher's doubts."""
+"""The adaptive filter without anything learned: one equation over density, local planes and the
+matcher's doubts.
+"""
 
 from __future__ import annotations
 
@@ -14,26 +16,33 @@ from stereo_ore.stages.filters.surface import Voters, fit_planes
 from stereo_ore.threads import map_rows
 from stereo_ore.types import F32, FilterResult, VoxelCloud
 
-DOUBTS: Mapping[str, float] = {"spread_px": 0.3, "lr_diff_px": 0.5, "scatter_14_px": 0.6, "photometric": 0.8}
+DOUBTS: Mapping[str, float] = {
+    "spread_px": 0.3,
+    "lr_diff_px": 0.5,
+    "scatter_14_px": 0.6,
+    "photometric": 0.8,
+}
 """Cues of a stereo cloud, and the values at which each halves the support."""
 
 
 SPARSE = 0.25
-"""Logarithm of the mean distance, over the spacing around, up to which density speaks against no point."""
+"""Logarithm of the mean distance, over the spacing around, up to which density speaks against no
+point."""
 
 
 def closed_form(voxels: VoxelCloud, params: ClosedFormParams) -> FilterResult:
     """Remove points with p > threshold; the score is p.
 
-    With d = mean distance to 8 neighbours over the spacing around, r = distance from the plane through the k
-    neighbours, r_j = distance from the plane of neighbour j, both in spacings, and weights w that start at
-    w₀ = min(1, (d/1.28)⁻³):
+    With d = mean distance to 8 neighbours over the spacing around, r = distance from the plane
+    through the k neighbours, r_j = distance from the plane of neighbour j, both in spacings, and
+    weights w that start at w₀ = min(1, (d/1.28)⁻³):
 
-        S = Σ_j w_j / (1 + (r_j/s)²) / (1 + (r/s)²),    p = 1 − c · w₀ · S² / (S² + S₀²),    w = 1 − p,
+        S = Σ_j w_j / (1 + (r_j/s)²) / (1 + (r/s)²),
+        p = 1 − c · w₀ · S² / (S² + S₀²),    w = 1 − p,
 
-    repeated for a number of rounds. s = max(scale, roughness · σ), with σ = 8 times the 10 % quantile of |r| where
-    w > ½, which is the standard deviation of a normal. c = Π 1 / (1 + (q/q₀)²) over the `DOUBTS` q of a stereo cloud,
-    1 without.
+    repeated for a number of rounds. s = max(scale, roughness · σ), with σ = 8 times the 10 %
+    quantile of |r| where w > ½, which is the standard deviation of a normal. c = Π 1 / (1 +
+    (q/q₀)²) over the `DOUBTS` q of a stereo cloud, 1 without.
     """
     has_cues = stereo.has_cues(voxels)
     evidence = gather(stereo.image_space(voxels) if has_cues else voxels.xyz, params.k)
@@ -47,7 +56,9 @@ def closed_form(voxels: VoxelCloud, params: ClosedFormParams) -> FilterResult:
         scale = np.float32(_scale(np.abs(planes.height), weight, params))
         agreed = _agreed(Voters.of(points, weight, planes), evidence, float(scale))
         support = np.square(agreed / (1 + np.square(planes.height / scale)))
-        weight = np.asarray(trust * dense * support / (support + np.float32(params.support**2)), np.float32)
+        weight = np.asarray(
+            trust * dense * support / (support + np.float32(params.support**2)), np.float32
+        )
     return FilterResult(1 - weight <= params.threshold, 1 - weight)
 
 
@@ -68,5 +79,8 @@ def _agreed(voters: Voters, evidence: BareEvidence, scale: float) -> F32:
 
 
 def _trust(voxels: VoxelCloud) -> F32:
-    doubts = (np.nan_to_num(voxels.cues[name], nan=0.0) / np.float32(limit) for name, limit in DOUBTS.items())
+    doubts = (
+        np.nan_to_num(voxels.cues[name], nan=0.0) / np.float32(limit)
+        for name, limit in DOUBTS.items()
+    )
     return np.asarray(np.prod([1 / (1 + doubt * doubt) for doubt in doubts], axis=0), np.float32)

@@ -1,4 +1,6 @@
-"""What is known of each point of a cloud, made anew for each pass of a scorer: density at several K, and surfaces."""
+"""What is known of each point of a cloud, made anew for each pass of a scorer: density at several
+K, and surfaces.
+"""
 
 from __future__ import annotations
 
@@ -17,20 +19,35 @@ from stereo_ore.types import F32
 Rows = npt.NDArray[np.int64]
 
 DENSITY_FEATURES = (
-    "mean distance, K = 3", "mean distance, K = 8", "mean distance, all K", "neighbours' mean distance, mean",
-    "neighbours' mean distance, least", "neighbours' mean distance, deviation", "times chosen", "neighbours chosen",
+    "mean distance, K = 3", "mean distance, K = 8", "mean distance, all K",
+    "neighbours' mean distance, mean",
+    "neighbours' mean distance, least", "neighbours' mean distance, deviation", "times chosen",
+    "neighbours chosen",
 )  # fmt: skip
-PLANE_FEATURES = ("residual", "aside", "thickness", "width", "length", "weight", "residual over thickness")
+PLANE_FEATURES = (
+    "residual",
+    "aside",
+    "thickness",
+    "width",
+    "length",
+    "weight",
+    "residual over thickness",
+)
 VOTE_FEATURES = ("near votes", "far votes", "mean vote distance")
 ODDS_FEATURES = ("odds", "neighbours' odds")
 NEAR_FEATURES = (
     "residual to neighbours'", "residual to theirs", "mean distance, K = 8, to spacing",
-    "mean distance, K = 3, to spacing", "neighbours' residual to spacing", "neighbours' thickness to spacing",
+    "mean distance, K = 3, to spacing", "neighbours' residual to spacing",
+    "neighbours' thickness to spacing",
     "thickness to neighbours'", "residual to spacing",
 )  # fmt: skip
 """Logarithms of ratios; the spacing is the local one."""
 
-RESIDUAL_AT, DENSITY_AT, THICKNESS_AT = (0.1, 0.25, 0.5, 0.75, 0.9, 0.97), (0.25, 0.5, 0.75, 0.9), (0.25, 0.5, 0.75)
+RESIDUAL_AT, DENSITY_AT, THICKNESS_AT = (
+    (0.1, 0.25, 0.5, 0.75, 0.9, 0.97),
+    (0.25, 0.5, 0.75, 0.9),
+    (0.25, 0.5, 0.75),
+)
 ODDS_AT = (0.25, 0.5, 0.75, 0.9)
 WHOLE_FEATURES = (
     *(f"cloud's residual to spacing, {at:.0%}" for at in RESIDUAL_AT),
@@ -46,7 +63,9 @@ SURE = 0.01
 
 @dataclass(frozen=True)
 class Questions:
-    """What a pass is asked: the rows to judge, features (W,) that all share, features (n, F) of a slice of the rows."""
+    """What a pass is asked: the rows to judge, features (W,) that all share, features (n, F) of a
+    slice of the rows.
+    """
 
     rows: Rows
     whole: F32
@@ -70,9 +89,11 @@ class Evidence(Protocol):
 
 @dataclass(frozen=True)
 class BareEvidence:
-    """Of a cloud without cues: points in spacings (M, 3), neighbours (M, k), density features (M, 8), first guess.
+    """Of a cloud without cues: points in spacings (M, 3), neighbours (M, k), density features (M,
+    8), first guess.
 
-    `here` (M,) is the logarithm of the spacing around a point: the mean over its neighbours of their least d(8).
+    `here` (M,) is the logarithm of the spacing around a point: the mean over its neighbours of
+    their least d(8).
     """
 
     points: F32
@@ -81,22 +102,34 @@ class BareEvidence:
     prior: F32
     here: F32
 
-    names = (*DENSITY_FEATURES, *PLANE_FEATURES, *VOTE_FEATURES, *ODDS_FEATURES, *NEAR_FEATURES, *WHOLE_FEATURES)
+    names = (
+        *DENSITY_FEATURES,
+        *PLANE_FEATURES,
+        *VOTE_FEATURES,
+        *ODDS_FEATURES,
+        *NEAR_FEATURES,
+        *WHOLE_FEATURES,
+    )
 
     def ask(self, noise: F32, number: int) -> Questions:
-        """Density, planes through the neighbours and their votes, weighted by how likely each is to be surface.
+        """Density, planes through the neighbours and their votes, weighted by how likely each is to
+        be surface.
 
-        The same is then held against the surroundings, and against the cloud as a whole: a rough surface and a smooth
-        one with noise differ in that, where single points of both look alike. After the first pass only those are
-        judged again that it was not `SURE` of.
+        The same is then held against the surroundings, and against the cloud as a whole: a rough
+        surface and a smooth one with noise differ in that, where single points of both look alike.
+        After the first pass only those are judged again that it was not `SURE` of.
         """
         weight, odds = 1 - noise, log_odds(noise)
         every = number == 0
-        rows = np.arange(len(noise)) if every else np.flatnonzero((noise > SURE) & (noise < 1 - SURE))
+        rows = (
+            np.arange(len(noise)) if every else np.flatnonzero((noise > SURE) & (noise < 1 - SURE))
+        )
         planes = fit_planes(self.points, self.index, weight, self.points)
         scales = vote_scales(np.exp(planes.shape[:, 0]), weight)
         voters = Voters.of(self.points, weight, planes)
-        rough = mean_of(weight * planes.shape[:, 0], self.index) / (mean_of(weight, self.index) + np.float32(1e-3))
+        rough = mean_of(weight * planes.shape[:, 0], self.index) / (
+            mean_of(weight, self.index) + np.float32(1e-3)
+        )
 
         def table(part: slice) -> F32:
             at = part if every else rows[part]
@@ -108,8 +141,12 @@ class BareEvidence:
 
         return Questions(rows, self._whole(planes.shape, noise, odds, scales), table)
 
-    def _compared(self, at: Rows | slice, shape: F32, rough: F32, rough2: F32, thick2: F32) -> tuple[F32, ...]:
-        """`NEAR_FEATURES`, each (n,): the point against its neighbours, and both against the spacing around."""
+    def _compared(
+        self, at: Rows | slice, shape: F32, rough: F32, rough2: F32, thick2: F32
+    ) -> tuple[F32, ...]:
+        """`NEAR_FEATURES`, each (n,): the point against its neighbours, and both against the
+        spacing around.
+        """
         residual, thick, here = shape[at, 0], shape[at, 2], self.here[at]
         d3, d8 = self.density[at, 0], self.density[at, 1]
         return (
@@ -140,7 +177,8 @@ def quantiles(values: F32, at: tuple[float, ...]) -> F32:
 
 
 def vote_scales(residual: F32, weight: F32) -> tuple[float, float]:
-    """`surface.SCALES`, widened with the cloud's roughness: strict is not less than σ of the residuals.
+    """`surface.SCALES`, widened with the cloud's roughness: strict is not less than σ of the
+    residuals.
 
     σ of a normal is 3.1 times the lower quartile of |residual|, which outliers hardly move.
     """
@@ -153,10 +191,11 @@ def vote_scales(residual: F32, weight: F32) -> tuple[float, float]:
 def gather(xyz: F32, k: int) -> BareEvidence:
     """Search the k neighbours of points (M, 3), and measure densities.
 
-    With d_i(K) = 1/ρ = mean distance to the K nearest (equation 2) in units of s, the 20 % quantile of d(8) over the
-    cloud: log d(3), log d(8), log d(k); mean, least and deviation (equation 3) of log d(8) over the neighbours; how
-    often a point is chosen as a neighbour, and how often its neighbours are. Several K side by side let the scorer
-    choose K by the point's own situation, which is what equation 5 is for.
+    With d_i(K) = 1/ρ = mean distance to the K nearest (equation 2) in units of s, the 20 % quantile
+    of d(8) over the cloud: log d(3), log d(8), log d(k); mean, least and deviation (equation 3) of
+    log d(8) over the neighbours; how often a point is chosen as a neighbour, and how often its
+    neighbours are. Several K side by side let the scorer choose K by the point's own situation,
+    which is what equation 5 is for.
 
     The first noise probability is 1 − min(1, (s/d(8))³).
     """
@@ -174,7 +213,9 @@ def gather(xyz: F32, k: int) -> BareEvidence:
 
 def mean_distances(distance: F32) -> F32:
     """Mean distances (M, 3) to the nearest 3, 8 and all of k sorted neighbours (M, k)."""
-    return map_rows(lambda rows: columns(*(distance[rows, :n].mean(1) for n in (3, 8, None))), len(distance))
+    return map_rows(
+        lambda rows: columns(*(distance[rows, :n].mean(1) for n in (3, 8, None))), len(distance)
+    )
 
 
 def mean_of(values: F32, index: Index) -> F32:
@@ -185,11 +226,15 @@ def mean_of(values: F32, index: Index) -> F32:
 def _density(index: Index, means: F32) -> F32:
     """Density features (M, 8) from mean distances (M, 3) in spacings."""
     own = np.log(means + np.float32(LEAST))
-    chosen = (np.bincount(index.ravel("K"), minlength=len(index)) / index.shape[1]).astype(np.float32)
+    chosen = (np.bincount(index.ravel("K"), minlength=len(index)) / index.shape[1]).astype(
+        np.float32
+    )
 
     def around(rows: slice) -> F32:
         near = by_neighbour(index, rows)
         d = own[:, 1].take(near)
-        return columns(d.mean(0), d.min(0), d.std(0), np.log(chosen[rows] + LEAST), chosen.take(near).mean(0))
+        return columns(
+            d.mean(0), d.min(0), d.std(0), np.log(chosen[rows] + LEAST), chosen.take(near).mean(0)
+        )
 
     return columns(own, map_rows(around, len(index)))

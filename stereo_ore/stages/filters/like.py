@@ -1,6 +1,8 @@
-"""The statistical and the radius filter as other programs mean them: the same parameters give exactly their sets.
+"""The statistical and the radius filter as other programs mean them: the same parameters give
+exactly their sets.
 
-Copies of a point count as points here, coordinates are in the program's own precision, and sums run in its order.
+Copies of a point count as points here, coordinates are in the program's own precision, and sums run
+in its order.
 """
 
 from __future__ import annotations
@@ -25,8 +27,9 @@ Real = npt.NDArray[np.floating[Any]]
 class Program:
     """What a program makes of the common names.
 
-    Does k count the point itself; degrees of freedom that its deviation takes off; does it keep only 0 < mean < limit,
-    or mean ≤ limit; its precision; does a point at exactly the radius lie within it, None where it has no such filter.
+    Does k count the point itself; degrees of freedom that its deviation takes off; does it keep
+    only 0 < mean < limit, or mean ≤ limit; its precision; does a point at exactly the radius lie
+    within it, None where it has no such filter.
     """
 
     name: str
@@ -66,7 +69,11 @@ def apply_like(program: str, xyz: F64, params: Any, metres: float = 1.0) -> Filt
         For an unknown program, or a filter that it does not have.
     """
     if program not in PROGRAMS:
-        raise ConfigError(f"no program is called {program!r} here", key="--like", remedy=f"Use {', '.join(PROGRAMS)}")
+        raise ConfigError(
+            f"no program is called {program!r} here",
+            key="--like",
+            remedy=f"Use {', '.join(PROGRAMS)}",
+        )
     of = PROGRAMS[program]
     finite = np.isfinite(xyz).all(1)
     points = xyz[finite].astype(of.precision)
@@ -79,23 +86,39 @@ def apply_like(program: str, xyz: F64, params: Any, metres: float = 1.0) -> Filt
         raise ConfigError(f"{of.name} is followed only by two methods", key="--like", remedy=remedy)
     keep, scores = np.zeros(len(xyz), bool), np.full(len(xyz), np.inf, np.float32)
     keep[finite], scores[finite] = kept, score
-    counts = {"points": len(xyz), "not_finite": int((~finite).sum()), "duplicates": 0, "kept": int(keep.sum())}
-    return FilterResult(keep, scores, counts | {"params": params.model_dump(mode="json"), "like": program} | said)
+    counts = {
+        "points": len(xyz),
+        "not_finite": int((~finite).sum()),
+        "duplicates": 0,
+        "kept": int(keep.sum()),
+    }
+    return FilterResult(
+        keep, scores, counts | {"params": params.model_dump(mode="json"), "like": program} | said
+    )
 
 
-def _statistical(points: Real, of: Program, params: StatisticalParams) -> tuple[Mask, Real, dict[str, Any]]:
-    """Keep by mean distance to k neighbours, against its mean and deviation over the cloud (Rusu et al. 2008)."""
+def _statistical(
+    points: Real, of: Program, params: StatisticalParams
+) -> tuple[Mask, Real, dict[str, Any]]:
+    """Keep by mean distance to k neighbours, against its mean and deviation over the cloud (Rusu et
+    al. 2008).
+    """
     others = min(params.k - of.counts_itself, len(points) - 1)
     if others < 1:
         mean = np.zeros(len(points), of.precision)
     else:
         distance = np.sqrt(_squares(points, others)).astype(np.float64)
-        # Open3D divides by all that it found, the point itself among them: of no effect but on the last digit.
+        # Open3D divides by all that it found, the point itself among them: of no effect but on the
+        # last digit.
         divisor = others + (of.strict and of.counts_itself)
         mean = (np.add.accumulate(distance, axis=1)[:, -1] / divisor).astype(of.precision)
     limit = _limit(mean.astype(np.float64), of, params.ratio)
     keep = (mean > 0) & (mean < limit) if of.strict else mean <= limit
-    return keep, mean / np.float64(max(limit, np.finfo(float).tiny)), {"method": "statistical", "limit": limit}
+    return (
+        keep,
+        mean / np.float64(max(limit, np.finfo(float).tiny)),
+        {"method": "statistical", "limit": limit},
+    )
 
 
 def _limit(mean: F64, of: Program, ratio: float) -> float:
@@ -108,22 +131,33 @@ def _limit(mean: F64, of: Program, ratio: float) -> float:
     return float(middle + ratio * deviation)
 
 
-def _radius(points: Real, of: Program, params: RadiusParams, metres: float) -> tuple[Mask, Real, dict[str, Any]]:
+def _radius(
+    points: Real, of: Program, params: RadiusParams, metres: float
+) -> tuple[Mask, Real, dict[str, Any]]:
     """Keep points with at least n others within the radius: the n-th nearest tells."""
     if of.radius_included is None:
-        raise ConfigError(f"{of.name} has no radius filter", key="--like", remedy="Use open3d or pcl")
+        raise ConfigError(
+            f"{of.name} has no radius filter", key="--like", remedy="Use open3d or pcl"
+        )
     if params.radius_m is None:
-        raise ConfigError(f"{of.name} needs a radius", key="radius_m", remedy="Say --set radius_m=…")
+        raise ConfigError(
+            f"{of.name} needs a radius", key="radius_m", remedy="Say --set radius_m=…"
+        )
     said = {"method": "radius", "radius_m": params.radius_m}
     if len(points) <= params.n:
         return np.zeros(len(points), bool), np.full(len(points), np.inf), said
-    square, limit = _squares(points, params.n)[:, -1].astype(np.float64), (params.radius_m / metres) ** 2
+    square, limit = (
+        _squares(points, params.n)[:, -1].astype(np.float64),
+        (params.radius_m / metres) ** 2,
+    )
     keep = square <= limit if of.radius_included else square < limit
     return keep, np.sqrt(square / limit), said
 
 
 def _squares(points: Real, k: int) -> Real:
-    """Squared distances (M, k) to the k nearest others, ascending, summed x, y, z in the points' precision."""
+    """Squared distances (M, k) to the k nearest others, ascending, summed x, y, z in the points'
+    precision.
+    """
     tree = cKDTree(points, balanced_tree=False)
 
     def rows_of(rows: slice) -> Real:

@@ -25,7 +25,8 @@ Search = Callable[[F32, int], tuple[Index, F32]]
 
 @dataclass(frozen=True)
 class Neighbours:
-    """The k nearest other points of each point, nearest first: index (M, k), distance (M, k) float32 [m].
+    """The k nearest other points of each point, nearest first: index (M, k), distance (M, k)
+    float32 [m].
 
     Both lie in memory column by column: what is computed over neighbours then runs along points.
     """
@@ -55,7 +56,9 @@ def search(xyz: F32, k: int) -> Neighbours:
 
 
 def nearest(points: F32, at: F32, k: int) -> tuple[Index, F32]:
-    """Rows (M, k) of the k nearest of `points` (N, 3), k ≤ N, to each of `at` (M, 3), and their distances (M, k)."""
+    """Rows (M, k) of the k nearest of `points` (N, 3), k ≤ N, to each of `at` (M, 3), and their
+    distances (M, k).
+    """
     # Squares stay in range, and a power of two costs no digit.
     exponent = int(np.clip(np.frexp(max(np.abs(points).max(), np.abs(at).max()))[1], -100, 100))
     down, up = np.float32(2.0**-exponent), np.float32(2.0**exponent)
@@ -98,7 +101,9 @@ def _scipy_tree(points: F32) -> Search:
 
 
 def by_neighbour(index: Index, rows: slice | Index) -> npt.NDArray[np.intp]:
-    """Neighbours (k, n) of n points: sums over k, row upon row, are several times faster than along rows."""
+    """Neighbours (k, n) of n points: sums over k, row upon row, are several times faster than along
+    rows.
+    """
     return np.ascontiguousarray(index[rows].T, np.intp)
 
 

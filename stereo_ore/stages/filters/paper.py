@@ -1,7 +1,8 @@
-"""The published filter, equation by equation: adaptive-K density and its ratio to the neighbours' (LOF).
+"""The published filter, equation by equation: adaptive-K density and its ratio to the neighbours'
+(LOF).
 
-Adaptive ore point cloud filtering algorithm based on the K-nearest neighbor; equation numbers are that paper's.
-Where it leaves something open, a parameter names the choice.
+Adaptive ore point cloud filtering algorithm based on the K-nearest neighbor; equation numbers are
+that paper's. Where it leaves something open, a parameter names the choice.
 """
 
 from __future__ import annotations
@@ -18,7 +19,9 @@ from stereo_ore.types import F32, I32, FilterResult, Mask, VoxelCloud
 
 @dataclass(frozen=True)
 class PaperQuantities:
-    """What the equations define for each point: ρ [1/m], noise cluster, its mean density μ_ρ [1/m], K_i, LOF."""
+    """What the equations define for each point: ρ [1/m], noise cluster, its mean density μ_ρ [1/m],
+    K_i, LOF.
+    """
 
     rho: F32
     in_noise_cluster: Mask
@@ -51,7 +54,9 @@ def quantities(xyz: F32, params: PaperParams) -> PaperQuantities:
     mu = np.where(noise, _mean(rho[noise]), _mean(rho[~noise])).astype(np.float32)
     k_sigma = params.k_sigma or reference_k(neighbours, params.k_grid)
     unclamped = np.floor(params.alpha * mu / rho + params.beta * k_sigma)
-    k = np.clip(unclamped, min(params.k_min, neighbours.k), min(params.k_max, neighbours.k)).astype(np.int32)
+    k = np.clip(unclamped, min(params.k_min, neighbours.k), min(params.k_max, neighbours.k)).astype(
+        np.int32
+    )
     entering = rho if params.density_at == "k0" else _density_at(neighbours, k)
     lof = _mean_of_first(entering, neighbours, k) / entering
     return PaperQuantities(rho, noise, mu, k_sigma, unclamped, k, lof)
@@ -100,21 +105,29 @@ def density_deviation(rho: F32, neighbours: Neighbours, k: int) -> F32:
 
     def rows_of(rows: slice) -> F32:
         difference = rho.take(by_neighbour(index, rows)) - rho[rows]
-        return np.asarray(np.sqrt(np.einsum("ij,ij->j", difference, difference) / np.float32(index.shape[1])))
+        return np.asarray(
+            np.sqrt(np.einsum("ij,ij->j", difference, difference) / np.float32(index.shape[1]))
+        )
 
     return map_rows(rows_of, len(rho))
 
 
 def reference_k(neighbours: Neighbours, grid: tuple[int, ...]) -> int:
-    """K_σ: the k of the grid at which σ, with ρ taken at the same k, has the greatest mean over the cloud."""
+    """K_σ: the k of the grid at which σ, with ρ taken at the same k, has the greatest mean over the
+    cloud.
+    """
     usable = sorted({min(k, neighbours.k) for k in grid})
-    means = [_mean(density_deviation(density(neighbours.distance[:, :k]), neighbours, k)) for k in usable]
+    means = [
+        _mean(density_deviation(density(neighbours.distance[:, :k]), neighbours, k)) for k in usable
+    ]
     return usable[int(np.argmax(means))]
 
 
 def _density_at(neighbours: Neighbours, k: I32) -> F32:
     total = np.cumsum(neighbours.distance, axis=1)
-    rho = k / np.maximum(np.take_along_axis(total, k[:, None] - 1, 1)[:, 0], np.finfo(np.float32).tiny)
+    rho = k / np.maximum(
+        np.take_along_axis(total, k[:, None] - 1, 1)[:, 0], np.finfo(np.float32).tiny
+    )
     return np.asarray(rho, np.float32)
 
 

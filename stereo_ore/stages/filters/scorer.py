@@ -18,12 +18,13 @@ from stereo_ore.types import F32
 
 @dataclass(frozen=True)
 class Scorer:
-    """The networks of successive passes, and the names of all features; a network may take only the first of them.
+    """The networks of successive passes, and the names of all features; a network may take only the
+    first of them.
 
-    A point is noise above `threshold` unless parameters say otherwise. With `most_lost`, it is noise above that
-    probability, not less than `threshold`, with the greatest F1 foretold, where no more than this share of the good
-    points is foretold to go. `provenance` says what the networks were fitted to, by which version and seed, and how
-    good they were on clouds left out.
+    A point is noise above `threshold` unless parameters say otherwise. With `most_lost`, it is
+    noise above that probability, not less than `threshold`, with the greatest F1 foretold, where no
+    more than this share of the good points is foretold to go. `provenance` says what the networks
+    were fitted to, by which version and seed, and how good they were on clouds left out.
     """
 
     features: list[str]
@@ -35,8 +36,8 @@ class Scorer:
     def decide(self, noise: F32) -> float:
         """Probability above which points with noise probabilities (M,) are removed.
 
-        The n points of the highest probabilities p hold Σp of noise and Σ(1 − p) of good points, as far as the
-        probabilities are right.
+        The n points of the highest probabilities p hold Σp of noise and Σ(1 − p) of good points, as
+        far as the probabilities are right.
         """
         falling = np.sort(noise)[::-1].astype(np.float64)
         falling = falling[: int(np.searchsorted(-falling, -self.threshold))]
@@ -62,7 +63,9 @@ class Scorer:
 @cache
 def load(name: str) -> Scorer:
     """A scorer that ships with the package: ``geometry`` or ``stereo``."""
-    text = (files("stereo_ore.stages.filters") / "scorers" / f"{name}.json").read_text(encoding="utf-8")
+    text = (files("stereo_ore.stages.filters") / "scorers" / f"{name}.json").read_text(
+        encoding="utf-8"
+    )
     return Scorer.from_dict(json.loads(text))
 
 
@@ -78,7 +81,11 @@ def read(path: Path) -> Scorer:
     try:
         return Scorer.from_dict(json.loads(path.read_text(encoding="utf-8")))
     except OSError as fault:
-        raise ConfigError(f"can't be read: {fault.strerror}", file=path, key="filter.params.scorer") from None
+        raise ConfigError(
+            f"can't be read: {fault.strerror}", file=path, key="filter.params.scorer"
+        ) from None
     except (ValueError, TypeError, KeyError):
         remedy = "Name a file that tune --train geometry or stereo wrote"
-        raise ConfigError("is no scorer", file=path, key="filter.params.scorer", remedy=remedy) from None
+        raise ConfigError(
+            "is no scorer", file=path, key="filter.params.scorer", remedy=remedy
+        ) from None

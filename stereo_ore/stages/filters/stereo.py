@@ -1,4 +1,6 @@
-"""Evidence of a stereo cloud: what the matcher knew of each voxel, and neighbours where that leaves a doubt."""
+"""Evidence of a stereo cloud: what the matcher knew of each voxel, and neighbours where that leaves
+a doubt.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +8,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stereo_ore.stages.filters.evidence import ODDS_FEATURES, PLANE_FEATURES, Questions, Rows, mean_distances, mean_of
+from stereo_ore.stages.filters.evidence import (
+    ODDS_FEATURES,
+    PLANE_FEATURES,
+    Questions,
+    Rows,
+    mean_distances,
+    mean_of,
+)
 from stereo_ore.stages.filters.neighbours import columns, nearest
 from stereo_ore.stages.filters.surface import LEAST, fit_planes, log_odds
 from stereo_ore.threads import map_rows
 from stereo_ore.types import CONTEXT, CUES, F32, VoxelCloud
 
-FLOORS = {"spread_px": 0.05, "lr_diff_px": 0.03, "texture": 0.3, "photometric": 0.03, "median_diff_px": 0.03}
+FLOORS = {
+    "spread_px": 0.05,
+    "lr_diff_px": 0.03,
+    "texture": 0.3,
+    "photometric": 0.03,
+    "median_diff_px": 0.03,
+}
 """Added before a cue's logarithm."""
 
 DISPARITY_STRETCH = 0.3
@@ -27,12 +42,16 @@ SURE = 0.12
 
 def has_cues(voxels: VoxelCloud) -> bool:
     """True for a cloud that a matcher made and spoke about, with what lies around in the image."""
-    return {*CUES, *CONTEXT} <= set(voxels.cues) and bool((voxels.sigma_z > 0).all() and (voxels.pixel_m > 0).all())
+    return {*CUES, *CONTEXT} <= set(voxels.cues) and bool(
+        (voxels.sigma_z > 0).all() and (voxels.pixel_m > 0).all()
+    )
 
 
 @dataclass(frozen=True)
 class StereoEvidence:
-    """Of a cloud with cues: points in image space in voxels (M, 3), cue features (M, F), neighbours wanted."""
+    """Of a cloud with cues: points in image space in voxels (M, 3), cue features (M, F), neighbours
+    wanted.
+    """
 
     points: F32
     cues: F32
@@ -40,7 +59,8 @@ class StereoEvidence:
 
     names = (
         *CUES, "points", "voxel in pixels", "depth noise in voxels", *CONTEXT,
-        "mean distance, K = 3", "mean distance, K = 8", "mean distance, all K", *PLANE_FEATURES, *ODDS_FEATURES,
+        "mean distance, K = 3", "mean distance, K = 8", "mean distance, all K", *PLANE_FEATURES,
+        *ODDS_FEATURES,
     )  # fmt: skip
 
     @property
@@ -49,10 +69,12 @@ class StereoEvidence:
         return np.full(len(self.points), 0.5, np.float32)
 
     def ask(self, noise: F32, number: int) -> Questions:
-        """Cues in the first pass; then density and surface too, by the k nearest neighbours (equations 1 and 2).
+        """Cues in the first pass; then density and surface too, by the k nearest neighbours
+        (equations 1 and 2).
 
-        The logarithms of the mean distances to the nearest 3, 8 and k; the plane through the neighbours, weighted by
-        how likely each is to be surface (`surface.fit_planes`); the odds of the pass before, and of the neighbours.
+        The logarithms of the mean distances to the nearest 3, 8 and k; the plane through the
+        neighbours, weighted by how likely each is to be surface (`surface.fit_planes`); the odds of
+        the pass before, and of the neighbours.
         """
         everything = np.arange(len(noise))
         if number == 0 or not len(noise):
@@ -78,30 +100,42 @@ def gather(voxels: VoxelCloud, k: int) -> StereoEvidence:
 
 
 def image_space(voxels: VoxelCloud) -> F32:
-    """(u, v, disparity) of each voxel, (M, 3) [px], disparity in units of its noise times `DISPARITY_STRETCH`.
+    """(u, v, disparity) of each voxel, (M, 3) [px], disparity in units of its noise times
+    `DISPARITY_STRETCH`.
 
-    u = x/z · f, v = y/z · f with f = z / pixel size; disparity over its standard deviation is z/σ_z. In these
-    coordinates noise has one size everywhere, where in metres it grows with z².
+    u = x/z · f, v = y/z · f with f = z / pixel size; disparity over its standard deviation is
+    z/σ_z. In these coordinates noise has one size everywhere, where in metres it grows with z².
     """
     z = voxels.xyz[:, 2].astype(np.float64)
     focal = np.median(z / voxels.pixel_m)
-    image = np.column_stack([voxels.xyz[:, :2] / z[:, None] * focal, DISPARITY_STRETCH * z / voxels.sigma_z])
+    image = np.column_stack(
+        [voxels.xyz[:, :2] / z[:, None] * focal, DISPARITY_STRETCH * z / voxels.sigma_z]
+    )
     return image.astype(np.float32)
 
 
 def _cues(voxels: VoxelCloud) -> F32:
     """Cues (M, F): shares as they are, offsets as sign(o)·log(1 + 3|o|), logarithms of all else.
 
-    Then the points behind a voxel over those it has room for, its edge in pixels, depth noise in edges, and what lies
-    around, none of it beyond ±`MOST`.
+    Then the points behind a voxel over those it has room for, its edge in pixels, depth noise in
+    edges, and what lies around, none of it beyond ±`MOST`.
     """
     room = voxels.size_m / voxels.pixel_m
 
     def chunk(rows: slice) -> F32:
-        cue = {name: np.nan_to_num(voxels.cues[name][rows], nan=0.0, posinf=0.0, neginf=0.0) for name in CUES}
-        plain = (voxels.count[rows] / room[rows] ** 2, room[rows], voxels.sigma_z[rows] / voxels.size_m)
+        cue = {
+            name: np.nan_to_num(voxels.cues[name][rows], nan=0.0, posinf=0.0, neginf=0.0)
+            for name in CUES
+        }
+        plain = (
+            voxels.count[rows] / room[rows] ** 2,
+            room[rows],
+            voxels.sigma_z[rows] / voxels.size_m,
+        )
         around = (np.clip(voxels.cues[name][rows], -MOST, MOST) for name in CONTEXT)
-        return columns(*(_scaled(name, cue[name]) for name in CUES), *(np.log(x) for x in plain), *around)
+        return columns(
+            *(_scaled(name, cue[name]) for name in CUES), *(np.log(x) for x in plain), *around
+        )
 
     return map_rows(chunk, len(voxels))
 

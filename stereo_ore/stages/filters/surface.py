@@ -1,7 +1,8 @@
-"""The surface around each point: planes through weighted neighbours, and how well a point fits them.
+"""The surface around each point: planes through weighted neighbours, and how well a point fits
+them.
 
-Lengths are in units of the cloud's spacing. Offsets of neighbours are taken from the point itself, so that large
-coordinates cost no precision.
+Lengths are in units of the cloud's spacing. Offsets of neighbours are taken from the point itself,
+so that large coordinates cost no precision.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from stereo_ore.threads import map_rows
 from stereo_ore.types import F32, F64
 
 SCALES = (0.3, 0.8)
-"""Distances from a plane [spacings] at which a neighbour's vote has fallen to half: strict (near) and lenient (far)."""
+"""Distances from a plane [spacings] at which a neighbour's vote has fallen to half: strict (near)
+and lenient (far)."""
 
 LEAST = 0.02
 """Added before a logarithm: a fiftieth of the spacing is as good as zero."""
@@ -23,10 +25,12 @@ LEAST = 0.02
 
 @dataclass(frozen=True)
 class Planes:
-    """A plane a point: unit normal (M, 3), height of the plane over the point along it (M,), and `shape` (M, 7).
+    """A plane a point: unit normal (M, 3), height of the plane over the point along it (M,), and
+    `shape` (M, 7).
 
-    The columns of `shape` are logarithms of: residual, distance of the neighbours' centre in the plane, the three
-    standard deviations of the neighbours (thickness first), total weight, residual over thickness.
+    The columns of `shape` are logarithms of: residual, distance of the neighbours' centre in the
+    plane, the three standard deviations of the neighbours (thickness first), total weight, residual
+    over thickness.
     """
 
     normal: F32
@@ -41,8 +45,9 @@ class Planes:
 def fit_planes(x: F32, index: Index, weight: F32, at: F32) -> Planes:
     """Total least-squares plane through each point's weighted neighbours.
 
-    With offsets q_j = x_j − x_i and weights w_j: centre c = Σ w q / Σ w, covariance C = Σ w q qᵀ / Σ w − c cᵀ, normal n
-    = the eigenvector of C's smallest eigenvalue λ_0, residual |n·c|, thickness sqrt(λ_0).
+    With offsets q_j = x_j − x_i and weights w_j: centre c = Σ w q / Σ w, covariance C = Σ w q qᵀ /
+    Σ w − c cᵀ, normal n = the eigenvector of C's smallest eigenvalue λ_0, residual |n·c|, thickness
+    sqrt(λ_0).
 
     Parameters
     ----------
@@ -56,7 +61,9 @@ def fit_planes(x: F32, index: Index, weight: F32, at: F32) -> Planes:
         Points whose surroundings are wanted.
     """
     x = np.asfortranarray(x)
-    packed = map_rows(lambda rows: _fit_rows(x, by_neighbour(index, rows), at[rows], weight), len(at))
+    packed = map_rows(
+        lambda rows: _fit_rows(x, by_neighbour(index, rows), at[rows], weight), len(at)
+    )
     return Planes(packed[:, :3], packed[:, 3], packed[:, 4:])
 
 
@@ -74,17 +81,20 @@ def _fit_rows(x: F32, index: Index, own: F32, weight: F32) -> F32:
     aside = np.sqrt(np.maximum(sum(c * c for c in centre) - height**2, 0))
     deviations = np.sqrt(variances)
     lengths = np.log(columns(residual, aside, deviations) + LEAST)
-    return columns(normal, height, lengths, np.log(total), np.log(residual / (deviations[:, 0] + 0.05) + LEAST))
+    return columns(
+        normal, height, lengths, np.log(total), np.log(residual / (deviations[:, 0] + 0.05) + LEAST)
+    )
 
 
 def eigen(moments: F32) -> tuple[F64, F64]:
-    """Eigenvalues (M, 3), ascending, and the unit eigenvector (M, 3) of the smallest, of symmetric 3×3 matrices.
+    """Eigenvalues (M, 3), ascending, and the unit eigenvector (M, 3) of the smallest, of symmetric
+    3×3 matrices.
 
     Parameters
     ----------
     moments : (M, 6) array
-        Entries xx, yy, zz, xy, xz, yz. The trigonometric solution (Smith 1961); the eigenvector is the longest column
-        of the adjugate of C − λ_0·1, and any direction where all vanish.
+        Entries xx, yy, zz, xy, xz, yz. The trigonometric solution (Smith 1961); the eigenvector is
+        the longest column of the adjugate of C − λ_0·1, and any direction where all vanish.
     """
     xx, yy, zz, xy, xz, yz = moments.astype(np.float64).T
     mean = (xx + yy + zz) / 3
@@ -95,13 +105,16 @@ def eigen(moments: F32) -> tuple[F64, F64]:
     largest = mean + 2 * scale * np.cos(angle)
     smallest = mean + 2 * scale * np.cos(angle + 2 * np.pi / 3)
     values = np.stack([smallest, 3 * mean - largest - smallest, largest])
-    return np.maximum(values, 0).T, _null_vector(xx - smallest, yy - smallest, zz - smallest, xy, xz, yz)
+    return np.maximum(values, 0).T, _null_vector(
+        xx - smallest, yy - smallest, zz - smallest, xy, xz, yz
+    )
 
 
 def _null_vector(a: F64, b: F64, c: F64, d: F64, e: F64, f: F64) -> F64:
     """Unit vector (M, 3) that singular matrices [[a, d, e], [d, b, f], [e, f, c]] map to zero.
 
-    Each column of the adjugate is a multiple of it, the longest that with the largest element on the diagonal.
+    Each column of the adjugate is a multiple of it, the longest that with the largest element on
+    the diagonal.
     """
     xx, yy, zz = b * c - f * f, a * c - e * e, a * b - d * d
     xy, xz, yz = e * f - d * c, d * f - e * b, d * e - a * f
@@ -115,7 +128,9 @@ def _null_vector(a: F64, b: F64, c: F64, d: F64, e: F64, f: F64) -> F64:
 
 @dataclass(frozen=True)
 class Voters:
-    """What points say of others by their planes: eight columns (N,) of unit normal, height, weight and place."""
+    """What points say of others by their planes: eight columns (N,) of unit normal, height, weight
+    and place.
+    """
 
     table: tuple[F32, ...]
 
@@ -125,10 +140,12 @@ class Voters:
         return cls((*planes.normal.T, planes.height, weight, *x.T))
 
     def votes(self, near: Index, own: F32, scales: tuple[float, float] = SCALES) -> F32:
-        """How well points `own` (n, 3) lie on the planes of their neighbours `near` (k, n), (n, 3) logarithms.
+        """How well points `own` (n, 3) lie on the planes of their neighbours `near` (k, n), (n, 3)
+        logarithms.
 
-        With r_j = |n_j·(x_i − x_j) − h_j|: Σ w_j / (1 + (r_j/s)²) for either scale s, and Σ w_j r_j / Σ w_j.
-        On an edge the planes of its own side speak for a point, where one plane through both sides would not.
+        With r_j = |n_j·(x_i − x_j) − h_j|: Σ w_j / (1 + (r_j/s)²) for either scale s, and Σ w_j r_j
+        / Σ w_j. On an edge the planes of its own side speak for a point, where one plane through
+        both sides would not.
         """
         nx, ny, nz, height, w, x, y, z = (column.take(near) for column in self.table)
         nx *= own[:, 0] - x

@@ -1,4 +1,6 @@
-"""The screen: the plane of the bar tops, given by the site or found in the cloud, and the bars in it."""
+"""The screen: the plane of the bar tops, given by the site or found in the cloud, and the bars in
+it.
+"""
 
 from __future__ import annotations
 
@@ -33,8 +35,8 @@ def find(surface: Surface, site: Site, config: GrizzlyConfig) -> Grizzly:
     surface : Surface
         Kept points in the image.
     site : Site
-        Its plane is taken as it is and only measured; without one the plane is found. A known opening and bar width
-        fix the pitch of the bars, otherwise the pitch is measured too.
+        Its plane is taken as it is and only measured; without one the plane is found. A known
+        opening and bar width fix the pitch of the bars, otherwise the pitch is measured too.
     config : GrizzlyConfig
         Tolerances and the seed.
 
@@ -44,11 +46,15 @@ def find(surface: Surface, site: Site, config: GrizzlyConfig) -> Grizzly:
         No plane was given, and none in the cloud is cut into bars.
     """
     sample = draw_sample(surface, config)
-    found = _found(sample, site, config) if site.plane is None else _measured(sample, site, site.plane)
+    found = (
+        _found(sample, site, config) if site.plane is None else _measured(sample, site, site.plane)
+    )
     return found if site.bar_width_m is not None else _with_sharp_bars(found, surface, site, config)
 
 
-def _with_sharp_bars(found: Grizzly, surface: Surface, site: Site, config: GrizzlyConfig) -> Grizzly:
+def _with_sharp_bars(
+    found: Grizzly, surface: Surface, site: Site, config: GrizzlyConfig
+) -> Grizzly:
     """The screen with the width that its bars have in the image, where nobody has measured it."""
     bars = sharpened(surface, found, tolerances(surface.sigma_z, config))
     diagnostics = {**found.diagnostics, "bar_width_from": "image" if bars else "depth"}
@@ -62,7 +68,8 @@ def _measured(sample: Sample, site: Site, plane: Plane) -> Grizzly:
     """The site's plane with its residual on the bars and how far the cloud disagrees with it."""
     if len(sample) < MIN_POINTS:
         return _grizzly(plane, "site", None, site, {"points": len(sample)})
-    # Shiny bars are measured a little off; they are found in the plane that the cloud has near the site's.
+    # Shiny bars are measured a little off; they are found in the plane that the cloud has near the
+    # site's.
     near = refine(sample, plane, BarFit(None, 0.0))
     fit = fit_bars(sample, near, site.opening_m, site.bar_width_m, sharp=True)
     rms, inliers = residual(sample, plane, fit)
@@ -71,7 +78,12 @@ def _measured(sample: Sample, site: Site, plane: Plane) -> Grizzly:
     middle = np.median(sample.xyz, axis=0)
     gap = float(other.height(middle) - plane.height(middle))
     return _grizzly(
-        plane, "site", rms, site, {"inlier_share": inliers, "cloud_tilt_rad": tilt, "cloud_offset_m": gap}, fit
+        plane,
+        "site",
+        rms,
+        site,
+        {"inlier_share": inliers, "cloud_tilt_rad": tilt, "cloud_offset_m": gap},
+        fit,
     )
 
 
@@ -79,7 +91,9 @@ def _found(sample: Sample, site: Site, config: GrizzlyConfig) -> Grizzly:
     """The candidate plane that is widest and most clearly cut into bars."""
     best: tuple[float, Plane, BarFit] | None = None
     for candidate, area in candidate_planes(sample, config):
-        plane = refine(sample, candidate, fit_bars(sample, candidate, site.opening_m, site.bar_width_m))
+        plane = refine(
+            sample, candidate, fit_bars(sample, candidate, site.opening_m, site.bar_width_m)
+        )
         fit = fit_bars(sample, plane, site.opening_m, site.bar_width_m, sharp=True)
         score = area * fit.contrast
         if _is_screen(sample, plane, fit, site, config) and (best is None or score > best[0]):
@@ -88,7 +102,10 @@ def _found(sample: Sample, site: Site, config: GrizzlyConfig) -> Grizzly:
         raise FrameError(
             f"no plane of bars was found among {len(sample):,} points",
             code="NO_SCREEN",
-            remedy="Give grizzly.plane in the site file, or check that screen and working volume are in view",
+            remedy=(
+                "Give grizzly.plane in the site file, or check that screen and working volume are"
+                " in view"
+            ),
         )
     for _ in range(config.refinements):
         plane = refine(sample, best[1], best[2])
@@ -98,7 +115,9 @@ def _found(sample: Sample, site: Site, config: GrizzlyConfig) -> Grizzly:
     return _grizzly(plane, "auto", rms, site, {"inlier_share": inliers}, fit)
 
 
-def _is_screen(sample: Sample, plane: Plane, fit: BarFit, site: Site, config: GrizzlyConfig) -> bool:
+def _is_screen(
+    sample: Sample, plane: Plane, fit: BarFit, site: Site, config: GrizzlyConfig
+) -> bool:
     """Whether bars were seen: the less the site says of the screen, the more of them are wanted."""
     if fit.bars is None or fit.contrast < config.min_contrast:
         return False
@@ -112,7 +131,12 @@ def _is_screen(sample: Sample, plane: Plane, fit: BarFit, site: Site, config: Gr
 
 
 def _grizzly(
-    plane: Plane, source: Any, rms: float | None, site: Site, diagnostics: dict[str, Any], fit: BarFit | None = None
+    plane: Plane,
+    source: Any,
+    rms: float | None,
+    site: Site,
+    diagnostics: dict[str, Any],
+    fit: BarFit | None = None,
 ) -> Grizzly:
     bars = fit.bars if fit else None
     opening = site.opening_m

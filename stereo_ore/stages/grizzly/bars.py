@@ -1,4 +1,6 @@
-"""The bars in a plane: direction, pitch, width and phase, from where it is solid and where one sees through it."""
+"""The bars in a plane: direction, pitch, width and phase, from where it is solid and where one sees
+through it.
+"""
 
 from __future__ import annotations
 
@@ -25,13 +27,16 @@ AROUND = 0.1
 LEAST_SEEN = 8
 """Points that a bar or a gap must have to be judged."""
 ROUGH, SHARP = (1.0, 2.0), (0.3, 1.0)
-"""Within the first of these of a plane [inlier distances] it is solid, beneath the second it is open."""
+"""Within the first of these of a plane [inlier distances] it is solid, beneath the second it is
+open."""
 MIN_DUTY, MAX_DUTY = 0.08, 0.6
 
 
 @dataclass(frozen=True)
 class BarFit:
-    """The bars, if any, the share of the variance of solid/open that they explain (0…1), and how many are seen."""
+    """The bars, if any, the share of the variance of solid/open that they explain (0…1), and how
+    many are seen.
+    """
 
     bars: Bars | None
     contrast: float
@@ -47,13 +52,18 @@ class BarFit:
 
 
 def fit_bars(
-    sample: Sample, plane: Plane, opening_m: float | None, bar_width_m: float | None, sharp: bool = False
+    sample: Sample,
+    plane: Plane,
+    opening_m: float | None,
+    bar_width_m: float | None,
+    sharp: bool = False,
 ) -> BarFit:
     """Bars of a plane.
 
-    Each pixel's ray is cut with the plane: where the point seen lies on the plane the plane is solid there (+1), where
-    it lies well beneath the plane is open (−1); a point above says nothing. The direction is the one along which this
-    signal varies least; the pitch the one whose folded signal has the best window of solid.
+    Each pixel's ray is cut with the plane: where the point seen lies on the plane the plane is
+    solid there (+1), where it lies well beneath the plane is open (−1); a point above says nothing.
+    The direction is the one along which this signal varies least; the pitch the one whose folded
+    signal has the best window of solid.
 
     Parameters
     ----------
@@ -64,7 +74,8 @@ def fit_bars(
     opening_m, bar_width_m : float or None
         Known clear distance and bar width [m]; both together fix the pitch and the width.
     sharp : bool
-        The plane has been refined: what lies a little beneath it is a bar's side face, or smeared off its edge.
+        The plane has been refined: what lies a little beneath it is a bar's side face, or smeared
+        off its edge.
     """
     q, signal, axes = _rays_in_plane(sample, plane, SHARP if sharp else ROUGH)
     q, signal = _around_open(q, signal)
@@ -96,8 +107,12 @@ def _seen(position: F64, signal: F64, pitch: float, phase: float, on_bar: Mask) 
     return int(((means[0] > 0.3) & (means[1] < -0.3)).sum())
 
 
-def _rays_in_plane(sample: Sample, plane: Plane, limits: tuple[float, float]) -> tuple[F64, F64, F64]:
-    """Where each ray meets the plane (N, 2) [m], solid +1 or open −1 (N,), and the plane's axes (2, 3)."""
+def _rays_in_plane(
+    sample: Sample, plane: Plane, limits: tuple[float, float]
+) -> tuple[F64, F64, F64]:
+    """Where each ray meets the plane (N, 2) [m], solid +1 or open −1 (N,), and the plane's axes (2,
+    3).
+    """
     height = plane.height(sample.xyz)
     solid, open_ = (limit * sample.tolerance for limit in limits)
     known = (np.abs(height) < solid) | (height < -open_)
@@ -111,7 +126,9 @@ def _rays_in_plane(sample: Sample, plane: Plane, limits: tuple[float, float]) ->
 
 
 def _around_open(q: F64, signal: F64) -> tuple[F64, F64]:
-    """The rays where one sees through the plane and a little around: bars are there, a floor goes on for ever."""
+    """The rays where one sees through the plane and a little around: bars are there, a floor goes
+    on for ever.
+    """
     through = q[signal < 0]
     if not len(through):
         return q, signal
@@ -136,16 +153,21 @@ def _explained(group: np.ndarray, signal: F64) -> float:
 
 
 def _direction(q: F64, signal: F64) -> float:
-    """Angle of the bars in the plane [rad]: the signal summed along them varies most across them."""
+    """Angle of the bars in the plane [rad]: the signal summed along them varies most across
+    them.
+    """
     if len(q) > SEARCHED:
-        # Not every n-th: the sample is a grid, and bars along its columns would be missed or hit all at once.
+        # Not every n-th: the sample is a grid, and bars along its columns would be missed or hit
+        # all at once.
         some = np.random.default_rng(0).choice(len(q), SEARCHED, replace=False)
         q, signal = q[some], signal[some]
 
     def contrast(angle: float) -> float:
         position = q @ np.array([-np.sin(angle), np.cos(angle)])
         low, high = position.min(), position.max()
-        return _explained(((position - low) / max(high - low, 1e-9) * (BINS // 3)).astype(np.intp), signal)
+        return _explained(
+            ((position - low) / max(high - low, 1e-9) * (BINS // 3)).astype(np.intp), signal
+        )
 
     best, span = 0.0, np.pi / 2
     for count in (COARSE, FINE, FINE):
@@ -187,14 +209,25 @@ def _balanced(position: F64, signal: F64, low: float, extent: float) -> tuple[F6
     share = (position - low) / max(extent, 1e-9)
     even = signal / np.bincount((share * BINS).astype(np.intp))[(share * BINS).astype(np.intp)]
     solid = even > 0
-    even = np.where(solid, even / max(even[solid].sum(), 1e-9), -even / min(even[~solid].sum(), -1e-9))
-    sums = np.asarray(np.bincount((share * FINE_BINS).astype(np.intp), even, FINE_BINS)[:FINE_BINS], dtype=np.float64)
+    even = np.where(
+        solid, even / max(even[solid].sum(), 1e-9), -even / min(even[~solid].sum(), -1e-9)
+    )
+    sums = np.asarray(
+        np.bincount((share * FINE_BINS).astype(np.intp), even, FINE_BINS)[:FINE_BINS],
+        dtype=np.float64,
+    )
     return low + (np.arange(FINE_BINS) + 0.5) * extent / FINE_BINS, sums
 
 
-def _best_window(position: F64, signal: F64, pitch: float, width_m: float | None) -> tuple[float, float, float]:
-    """Sum, phase [m] and width [m] of the window whose periodic repetition holds the most signal."""
-    fold = np.bincount(((position % pitch) / pitch * PHASES).astype(np.intp) % PHASES, signal, PHASES)
+def _best_window(
+    position: F64, signal: F64, pitch: float, width_m: float | None
+) -> tuple[float, float, float]:
+    """Sum, phase [m] and width [m] of the window whose periodic repetition holds the most
+    signal.
+    """
+    fold = np.bincount(
+        ((position % pitch) / pitch * PHASES).astype(np.intp) % PHASES, signal, PHASES
+    )
     sums = np.concatenate([[0.0], np.cumsum(np.tile(fold, 2))])
     if width_m is not None:
         lengths = np.array([round(width_m / pitch * PHASES)])

@@ -1,4 +1,6 @@
-"""How wide bars are, from their edges in the image: a matcher smears depth over them by some pixels."""
+"""How wide bars are, from their edges in the image: a matcher smears depth over them by some
+pixels.
+"""
 
 from __future__ import annotations
 
@@ -12,13 +14,16 @@ from scipy import ndimage
 from stereo_ore.types import F32, F64, Bars, Grizzly, Mask, Surface
 
 BINS, SMOOTHING = 240, 2.0
-"""Bins of a pitch that the image is folded into, and the standard deviation [bins] that the fold is smoothed with."""
+"""Bins of a pitch that the image is folded into, and the standard deviation [bins] that the fold is
+smoothed with."""
 LEAST_OPEN = 100
 """Pixels that show what is beneath the screen, for a place to be known where bars are."""
 NARROWEST, WIDEST, SHIFT = 0.4, 1.15, 0.3
-"""Widths tried and shifts to either side, in widths that depth says: smeared bars are wider, never narrower."""
+"""Widths tried and shifts to either side, in widths that depth says: smeared bars are wider, never
+narrower."""
 CLEAR = 4.5
-"""Contrast of the two edges over the root mean square of the fold: chance makes at most about four of it."""
+"""Contrast of the two edges over the root mean square of the fold: chance makes at most about four
+of it."""
 STRONGEST = 20.0
 """Grey levels a pixel beyond which an edge counts no more: one glint must not outvote a bar."""
 
@@ -26,8 +31,9 @@ STRONGEST = 20.0
 def sharpened(surface: Surface, grizzly: Grizzly, tolerance: F32) -> Bars | None:
     """The bars with width and phase by their edges, or None where the image does not show them.
 
-    The slope of the grey image across the bars is folded by their pitch. The two edges of a bar's top lie in the plane,
-    so they fall on one place each and have opposite signs; edges of what lies beneath are spread by perspective.
+    The slope of the grey image across the bars is folded by their pitch. The two edges of a bar's
+    top lie in the plane, so they fall on one place each and have opposite signs; edges of what lies
+    beneath are spread by perspective.
 
     Parameters
     ----------
@@ -66,9 +72,14 @@ def _between(coordinate: F32, part: Mask) -> Mask:
 
 
 def _slope(surface: Surface, across: F32) -> F32:
-    """Slope of the grey image in the direction in which `across` grows, (h, w) [grey levels a pixel]."""
-    grey = cv2.GaussianBlur(cv2.cvtColor(surface.bgr, cv2.COLOR_BGR2GRAY).astype(np.float32), (0, 0), 1.0)
-    (grey_x, grey_y), (x, y) = ([cv2.Sobel(image, cv2.CV_32F, i, 1 - i, scale=1 / 8) for i in (1, 0)]
+    """Slope of the grey image in the direction in which `across` grows, (h, w) [grey levels a
+    pixel].
+    """
+    grey = cv2.GaussianBlur(
+        cv2.cvtColor(surface.bgr, cv2.COLOR_BGR2GRAY).astype(np.float32), (0, 0), 1.0
+    )
+    (grey_x, grey_y), (x, y) = ([cv2.Sobel(image, cv2.CV_32F, i, 1 - i, scale=1 / 8) for i in (1,
+    0)]
                                 for image in (grey, across))  # fmt: skip
     slope = (grey_x * x + grey_y * y) / np.maximum(np.hypot(x, y), np.float32(1e-9))
     return np.asarray(np.clip(slope, -STRONGEST, STRONGEST), np.float32)
@@ -78,13 +89,19 @@ def _folded(slope: F32, position: F32) -> F64:
     """Mean slope (BINS,) at each place of a pitch; positions in pitches."""
     place = np.minimum((position % 1 * BINS).astype(np.intp), BINS - 1)
     count = np.maximum(np.bincount(place, minlength=BINS), 1)
-    return np.asarray(ndimage.gaussian_filter1d(np.bincount(place, slope, BINS) / count, SMOOTHING, mode="wrap"))
+    return np.asarray(
+        ndimage.gaussian_filter1d(np.bincount(place, slope, BINS) / count, SMOOTHING, mode="wrap")
+    )
 
 
 def _strongest_pair(fold: F64, about: float) -> tuple[float, float, float]:
-    """Distance and middle [pitches], and contrast, of the strongest two opposite edges near a width of `about`."""
+    """Distance and middle [pitches], and contrast, of the strongest two opposite edges near a width
+    of `about`.
+    """
     steps = about * BINS
-    lengths: npt.NDArray[np.intp] = np.arange(round(NARROWEST * steps), round(WIDEST * steps) + 1)[:, None]
+    lengths: npt.NDArray[np.intp] = np.arange(round(NARROWEST * steps), round(WIDEST * steps) + 1)[
+        :, None
+    ]
     middles = np.arange(-round(SHIFT * steps), round(SHIFT * steps) + 1)[None, :]
     start = middles - lengths // 2
     contrast = np.abs(fold[start % BINS] - fold[(start + lengths) % BINS])

@@ -16,14 +16,16 @@ SCORED = 600
 CANDIDATES = 3
 MIN_ANGLE_RAD = 0.1
 NARROWING = (1.0, 0.7, 0.7)
-"""Inlier distances of successive fits, so that a frame a little higher than the bars loses its pull."""
+"""Inlier distances of successive fits, so that a frame a little higher than the bars loses its
+pull."""
 
 
 def candidate_planes(sample: Sample, config: GrizzlyConfig) -> Iterator[tuple[Plane, float]]:
-    """The widest planes in turn, each with its area [m²]; the points of one are not offered to the next.
+    """The widest planes in turn, each with its area [m²]; the points of one are not offered to the
+    next.
 
-    RANSAC: planes through random triples, scored by the area of the points within tolerance times the spread of these
-    points, so that a wide sparse screen wins over a compact rock.
+    RANSAC: planes through random triples, scored by the area of the points within tolerance times
+    the spread of these points, so that a wide sparse screen wins over a compact rock.
     """
     rng = np.random.default_rng(config.seed)
     left = np.ones(len(sample), bool)
@@ -42,7 +44,9 @@ def candidate_planes(sample: Sample, config: GrizzlyConfig) -> Iterator[tuple[Pl
         left &= ~inlier
 
 
-def _ransac(sample: Sample, chosen: np.ndarray, config: GrizzlyConfig, rng: np.random.Generator) -> Plane | None:
+def _ransac(
+    sample: Sample, chosen: np.ndarray, config: GrizzlyConfig, rng: np.random.Generator
+) -> Plane | None:
     xyz, tolerance, area = sample.xyz[chosen], sample.tolerance[chosen], sample.area[chosen]
     a, b, c = xyz[rng.integers(0, len(xyz), (3, config.iterations))]
     normals = np.cross(b - a, c - a)
@@ -52,7 +56,9 @@ def _ransac(sample: Sample, chosen: np.ndarray, config: GrizzlyConfig, rng: np.r
     flip = np.where(offsets > 0, -1.0, 1.0)
     normals, offsets = normals * flip[:, None], offsets * flip
     view = xyz.mean(0) / np.linalg.norm(xyz.mean(0))
-    limit = np.cos(config.max_tilt_rad) if config.max_tilt_rad is not None else np.sin(MIN_ANGLE_RAD)
+    limit = (
+        np.cos(config.max_tilt_rad) if config.max_tilt_rad is not None else np.sin(MIN_ANGLE_RAD)
+    )
     keep = -(normals @ view) >= limit
     if not keep.any():
         return None
@@ -60,19 +66,25 @@ def _ransac(sample: Sample, chosen: np.ndarray, config: GrizzlyConfig, rng: np.r
     points, limit, share = (values.astype(np.float32) for values in (xyz, tolerance, area))
     # In parts: a larger product would wake a pool of threads, which takes longer than the product.
     parts = (np.array_split(values.astype(np.float32), 4) for values in (normals, offsets))
-    scores = [_scores(normal, offset, points, limit, share) for normal, offset in zip(*parts, strict=True)]
+    scores = [
+        _scores(normal, offset, points, limit, share) for normal, offset in zip(*parts, strict=True)
+    ]
     best = int(np.argmax(np.concatenate(scores)))
     return Plane(normals[best], float(offsets[best]))
 
 
 def _scores(normals: F32, offsets: F32, xyz: F32, tolerance: F32, area: F32) -> F32:
-    """Area of the inliers of each of K hypotheses times the root mean square distance from their centre, (K,)."""
+    """Area of the inliers of each of K hypotheses times the root mean square distance from their
+    centre, (K,).
+    """
     inlier = (np.abs(normals @ xyz.T - offsets[:, None]) < tolerance).astype(np.float32)
     count = np.maximum(inlier.sum(1), 1)
     centred = xyz - xyz.mean(0)
     mean = inlier @ centred / count[:, None]
     square = inlier @ (centred**2).sum(1) / count
-    return np.asarray(inlier @ area * np.sqrt(np.maximum(square - (mean**2).sum(1), 0)), dtype=np.float32)
+    return np.asarray(
+        inlier @ area * np.sqrt(np.maximum(square - (mean**2).sum(1), 0)), dtype=np.float32
+    )
 
 
 def _inliers(sample: Sample, plane: Plane) -> Mask:
@@ -94,15 +106,21 @@ def _least_squares(sample: Sample, inlier: Mask, fallback: Plane) -> Plane:
 
 
 def refine(sample: Sample, plane: Plane, fit: BarFit) -> Plane:
-    """The plane through the points on the bars alone: not the frame, nor ore that happens to lie at their height."""
+    """The plane through the points on the bars alone: not the frame, nor ore that happens to lie at
+    their height.
+    """
     for narrower in NARROWING:
         near = np.abs(plane.height(sample.xyz)) < narrower * sample.tolerance
-        plane = _least_squares(sample, near & fit.covers(sample.xyz) if fit.bars is not None else near, plane)
+        plane = _least_squares(
+            sample, near & fit.covers(sample.xyz) if fit.bars is not None else near, plane
+        )
     return plane
 
 
 def residual(sample: Sample, plane: Plane, fit: BarFit) -> tuple[float | None, float]:
-    """Root mean square height [m] of the points on the bars, and the share of all points that they are."""
+    """Root mean square height [m] of the points on the bars, and the share of all points that they
+    are.
+    """
     on_bars = _on_bars(sample, plane, fit)
     if not on_bars.any():
         return None, 0.0

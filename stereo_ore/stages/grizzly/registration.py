@@ -1,8 +1,10 @@
-"""Where the bars are measured against where they are known to be, and the disparity with that difference taken off.
+"""Where the bars are measured against where they are known to be, and the disparity with that
+difference taken off.
 
-The disparity of a plane is linear in the pixel, and so is what a wrong baseline, principal column or offset adds to it,
-or a camera that was nudged. Bars make up thousands of pixels, so this field is measured to hundredths of a pixel, where
-a single depth is off by several of its standard deviations before a check of the screen dares to speak.
+The disparity of a plane is linear in the pixel, and so is what a wrong baseline, principal column
+or offset adds to it, or a camera that was nudged. Bars make up thousands of pixels, so this field
+is measured to hundredths of a pixel, where a single depth is off by several of its standard
+deviations before a check of the screen dares to speak.
 """
 
 from __future__ import annotations
@@ -19,7 +21,8 @@ from stereo_ore.types import F32, F64, Disparity, Mask, Plane, Registration, Rig
 SAMPLE = 10_000
 """Pixels looked at."""
 WINDOW = 0.5
-"""Bars are looked for this far above and below their place [openings]; farther off the check of the screen tells."""
+"""Bars are looked for this far above and below their place [openings]; farther off the check of the
+screen tells."""
 BIN_PX, SMOOTH_BINS = 0.1, 7
 TUKEY_PX = (1.5, 1.0, 0.7, 0.5, 0.5)
 """Residuals [px] beyond which a pixel has no weight, of successive fits (Beaton & Tukey 1974)."""
@@ -31,7 +34,9 @@ LEAST_CONTRAST = 0.15
 """Contrast of the bars in what is solid and open, below which it is not bars that were measured."""
 
 
-def register(disparity: Disparity, rig: Rig, plane: Plane, site: Site, config: GrizzlyConfig) -> Registration | None:
+def register(
+    disparity: Disparity, rig: Rig, plane: Plane, site: Site, config: GrizzlyConfig
+) -> Registration | None:
     """How the bars' disparity differs from that of the plane where they are known to be.
 
     Parameters
@@ -84,7 +89,9 @@ def corrected(disparity: Disparity, registration: Registration | None, rig: Rig)
 
 @dataclass(frozen=True)
 class _Pixels:
-    """Rays (N, 3) of pixels, z = 1; depth (N,) [m]; disparity over the plane's (N,) [px]; area of a pixel over z²."""
+    """Rays (N, 3) of pixels, z = 1; depth (N,) [m]; disparity over the plane's (N,) [px]; area of a
+    pixel over z².
+    """
 
     rays: F64
     depth: F64
@@ -129,7 +136,9 @@ def _mode(excess: F64) -> float:
 
 
 def _tukey(pixels: _Pixels, field: F64) -> tuple[F64, F64]:
-    """The field c·(x, y, 1) with Tukey's weights, and these (N,); `field` is ordered (constant, x, y)."""
+    """The field c·(x, y, 1) with Tukey's weights, and these (N,); `field` is ordered (constant, x,
+    y).
+    """
     basis = pixels.rays[:, [2, 0, 1]]
     weight = np.ones(len(basis))
     for width in TUKEY_PX:
@@ -137,7 +146,9 @@ def _tukey(pixels: _Pixels, field: F64) -> tuple[F64, F64]:
         weight = np.where(np.abs(residual) < width, (1 - (residual / width) ** 2) ** 2, 0.0)
         # Sums without BLAS, whose order depends on the number of threads.
         normal = np.einsum("ni,nj->ij", basis * weight[:, None], basis)
-        field = np.linalg.lstsq(normal, np.einsum("ni,n->i", basis, weight * pixels.excess), rcond=None)[0]
+        field = np.linalg.lstsq(
+            normal, np.einsum("ni,n->i", basis, weight * pixels.excess), rcond=None
+        )[0]
     return field, weight
 
 

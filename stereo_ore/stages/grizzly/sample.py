@@ -18,7 +18,9 @@ SAMPLE = 8_000
 
 @dataclass(frozen=True)
 class Sample:
-    """Points of a regular image grid: xyz (N, 3) [m], inlier distance (N,) [m], surface share of each (N,) [m²]."""
+    """Points of a regular image grid: xyz (N, 3) [m], inlier distance (N,) [m], surface share of
+    each (N,) [m²].
+    """
 
     xyz: F64
     tolerance: F64

@@ -1,6 +1,8 @@
-"""Self-checks of a run: what makes a frame too doubtful to act on, each a `Reason` with a code of its own.
+"""Self-checks of a run: what makes a frame too doubtful to act on, each a `Reason` with a code of
+its own.
 
-The checks of one frame belong to the pipeline; those that need its predecessors are in `health.history`.
+The checks of one frame belong to the pipeline; those that need its predecessors are in
+`health.history`.
 """
 
 from stereo_ore.stages.health.eyes import doubts as eye_doubts
@@ -8,4 +10,11 @@ from stereo_ore.stages.health.parts import judge_parts, row_doubts, without_doub
 from stereo_ore.stages.health.screen import bar_doubts
 from stereo_ore.stages.health.screen import doubts as screen_doubts
 
-__all__ = ["bar_doubts", "eye_doubts", "judge_parts", "row_doubts", "screen_doubts", "without_doubtful"]
+__all__ = [
+    "bar_doubts",
+    "eye_doubts",
+    "judge_parts",
+    "row_doubts",
+    "screen_doubts",
+    "without_doubtful",
+]

@@ -1,8 +1,10 @@
-"""Whether the disparity is right in every row of the image: the bars must lie in their plane wherever they show.
+"""Whether the disparity is right in every row of the image: the bars must lie in their plane
+wherever they show.
 
-A band of rows that slipped, rows that wobble or a film of water leave much of the image as it was, and match well. But
-where the comb of the bars is known, its teeth can be looked for row by row: one disparity on the comb that is not the
-plane's, and nothing so near beside it, are rows that are measured wrong. Ore has no such teeth.
+A band of rows that slipped, rows that wobble or a film of water leave much of the image as it was,
+and match well. But where the comb of the bars is known, its teeth can be looked for row by row: one
+disparity on the comb that is not the plane's, and nothing so near beside it, are rows that are
+measured wrong. Ore has no such teeth.
 """
 
 from __future__ import annotations
@@ -14,7 +16,19 @@ import cv2
 import numpy as np
 
 from stereo_ore.config import HealthConfig
-from stereo_ore.types import F32, F64, I32, Disparity, Grizzly, Mask, OreMap, Reason, Rig, Solid, StrikePlan
+from stereo_ore.types import (
+    F32,
+    F64,
+    I32,
+    Disparity,
+    Grizzly,
+    Mask,
+    OreMap,
+    Reason,
+    Rig,
+    Solid,
+    StrikePlan,
+)
 
 STEP = 2
 """Every so many-th pixel each way is looked at."""
@@ -25,9 +39,11 @@ INNER, GAP, WIDE = 0.7, 1.6, 1.15
 BAND, OFF_PX = 7, 0.6
 """Rows that are looked at together, and how far off the plane their bars are elsewhere."""
 SHARE, CLEARER = 0.12, 1.5
-"""Share of the pixels on the comb that have one disparity, three bins wide; so many times those at the plane."""
+"""Share of the pixels on the comb that have one disparity, three bins wide; so many times those at
+the plane."""
 THROUGH_PX, OPEN = 1.5, 0.3
-"""Share of the pixels beside the comb that lie so far beneath it: one sees through bars, not through ore."""
+"""Share of the pixels beside the comb that lie so far beneath it: one sees through bars, not
+through ore."""
 FEWEST = 40
 """Pixels on the comb, and beside it, that tell of a band."""
 ON_BARS, IN_ROWS = 0.7, 0.05
@@ -66,7 +82,9 @@ def judge_parts(disparity: Disparity, rig: Rig, screen: Grizzly) -> Parts | None
     excess = disparity.values[rows, columns][::STEP, ::STEP] + np.float32(rig.doffs_px)
     excess -= slope * np.float32(rig.fx * rig.baseline_m / screen.plane.offset)
     bars = screen.bars
-    turns = (_on_rays(bars.across, x, y) * (offset / slope) - np.float32(bars.phase_m)) / np.float32(bars.pitch_m)
+    turns = (
+        _on_rays(bars.across, x, y) * (offset / slope) - np.float32(bars.phase_m)
+    ) / np.float32(bars.pitch_m)
     off_centre = np.abs(turns - np.round(turns)) * np.float32(2 * bars.pitch_m / bars.width_m)
     gap = off_centre > min(GAP, 0.5 * (1 + bars.pitch_m / bars.width_m))
     return Parts(off_centre < WIDE, _elsewhere(excess, off_centre < INNER, gap))
@@ -75,10 +93,14 @@ def judge_parts(disparity: Disparity, rig: Rig, screen: Grizzly) -> Parts | None
 def row_doubts(parts: Parts | None, config: HealthConfig) -> Iterator[Reason]:
     """PARTS_DISAGREE where in too many rows the bars lie elsewhere than in the others."""
     if parts is not None and parts.rows.mean() > config.max_bad_rows:
-        share = f"in {100 * parts.rows.mean():.0f} % of the rows the bars are measured elsewhere than in the others"
+        share = (
+            f"in {100 * parts.rows.mean():.0f} % of the rows the bars are measured elsewhere than"
+            " in the others"
+        )
         limit = f"{100 * config.max_bad_rows:.0f} % at most are wanted (health.max_bad_rows)"
         yield Reason(
-            "PARTS_DISAGREE", f"{share}, {limit}: is there water on a lens, does the camera shake, lose lines?"
+            "PARTS_DISAGREE",
+            f"{share}, {limit}: is there water on a lens, does the camera shake, lose lines?",
         )
 
 
@@ -92,7 +114,8 @@ def without_doubtful(
 ) -> tuple[StrikePlan, ...]:
     """The plans, without strikes of lumps that lie in doubtful rows or are bars themselves.
 
-    Small ore does lie on a bar; what is longer than an opening is wider than a bar, unless it is one.
+    Small ore does lie on a bar; what is longer than an opening is wider than a bar, unless it is
+    one.
     """
     if parts is None:
         return tuple(plans)
@@ -103,10 +126,14 @@ def without_doubtful(
         for part in (ore, parts.comb & ore, parts.rows[:, None] & ore)
     ]
     on_bars, in_rows = (count / np.maximum(counts[0], 1) for count in counts[1:])
-    long = [solid is None or screen.opening_m is None or solid.size_m[0] > screen.opening_m for solid in solids]
+    long = [
+        solid is None or screen.opening_m is None or solid.size_m[0] > screen.opening_m
+        for solid in solids
+    ]
     doubts = (_doubt(*shares) for shares in zip(on_bars * long, in_rows, strict=True))
     return tuple(
-        StrikePlan((), (doubt,)) if doubt and plan.strikes else plan for plan, doubt in zip(plans, doubts, strict=True)
+        StrikePlan((), (doubt,)) if doubt and plan.strikes else plan
+        for plan, doubt in zip(plans, doubts, strict=True)
     )
 
 
@@ -115,18 +142,24 @@ def _doubt(on_bars: float, in_rows: float) -> Reason | None:
         return Reason("ON_BARS", f"{100 * on_bars:.0f} % of it is where the image shows bars")
     if in_rows > IN_ROWS:
         return Reason(
-            "IN_BAD_ROWS", f"in {100 * in_rows:.0f} % of it the rows' bars are measured elsewhere than others"
+            "IN_BAD_ROWS",
+            f"in {100 * in_rows:.0f} % of it the rows' bars are measured elsewhere than others",
         )
     return None
 
 
 def _on_rays(vector: F64, x: F64, y: F64) -> F32:
-    across, down = (vector[0] * x).astype(np.float32), (vector[1] * y + vector[2]).astype(np.float32)
+    across, down = (
+        (vector[0] * x).astype(np.float32),
+        (vector[1] * y + vector[2]).astype(np.float32),
+    )
     return np.asarray(across[None, :] + down[:, None])
 
 
 def _elsewhere(excess: F32, comb: Mask, gap: Mask) -> Mask:
-    """Rows (h,) in whose band most of the comb has one disparity off the plane's, and one sees through beside it."""
+    """Rows (h,) in whose band most of the comb has one disparity off the plane's, and one sees
+    through beside it.
+    """
     known = np.isfinite(excess)
     index = np.clip((np.where(known, excess, 0) + REACH_PX) / BIN_PX, 0, BINS - 1).astype(np.int32)
     on = _banded(_by_row(index, comb & known & (np.abs(excess) < REACH_PX)))
@@ -147,9 +180,15 @@ def _elsewhere(excess: F32, comb: Mask, gap: Mask) -> Mask:
 def _by_row(index: I32, part: Mask) -> F32:
     """Counts (h, bins) of a part's pixels."""
     v, u = np.nonzero(part)
-    return np.bincount(v * BINS + index[v, u], minlength=len(index) * BINS).reshape(-1, BINS).astype(np.float32)
+    return (
+        np.bincount(v * BINS + index[v, u], minlength=len(index) * BINS)
+        .reshape(-1, BINS)
+        .astype(np.float32)
+    )
 
 
 def _banded(counts: F32) -> F32:
     """Sums over the band about each row."""
-    return np.asarray(cv2.blur(counts, (1, BAND), borderType=cv2.BORDER_CONSTANT) * BAND, np.float32)
+    return np.asarray(
+        cv2.blur(counts, (1, BAND), borderType=cv2.BORDER_CONSTANT) * BAND, np.float32
+    )

@@ -1,8 +1,9 @@
-"""Whether the screen lies where the site says: else the camera was moved, or the calibration is wrong.
+"""Whether the screen lies where the site says: else the camera was moved, or the calibration is
+wrong.
 
-Bars are the widest plane in the cloud, so what makes disparities wrong (a shift of one eye's columns, another
-baseline or focal length) lifts, sinks or turns this plane. It is blind to what moves the plane within itself: the
-camera slid along the screen, or turned about its normal.
+Bars are the widest plane in the cloud, so what makes disparities wrong (a shift of one eye's
+columns, another baseline or focal length) lifts, sinks or turns this plane. It is blind to what
+moves the plane within itself: the camera slid along the screen, or turned about its normal.
 """
 
 from __future__ import annotations
@@ -25,23 +26,27 @@ WIDE = 0.7
 CLEARER = 1.5
 """So many times the points near the site's plane a plane elsewhere must have to be believed."""
 OVERLAP = 5.0
-"""Planes nearer than this [standard deviations of a depth] share points: one of them can't be much clearer."""
+"""Planes nearer than this [standard deviations of a depth] share points: one of them can't be much
+clearer."""
 
 LEAST_OPEN, GRID = 0.12, 20_000
-"""Share of a screen's outline, on a grid of so many pixels, that shows no bar and no ore: a bed of ore has no gaps."""
+"""Share of a screen's outline, on a grid of so many pixels, that shows no bar and no ore: a bed of
+ore has no gaps."""
 LEAST_HIDDEN = 0.4
-"""Share of the outline of all points that shows any where ore hides the screen; less where only tips of it are left."""
+"""Share of the outline of all points that shows any where ore hides the screen; less where only
+tips of it are left."""
 LEAST_OWN, CLEAR_OF, BESIDE = 0.05, 2.5, 2.5
-"""The bars are at the site's plane after all where at least this share of the points is, so many times more than
-so many tolerances above and below: then a wider plane is the floor of the pit."""
+"""The bars are at the site's plane after all where at least this share of the points is, so many
+times more than so many tolerances above and below: then a wider plane is the floor of the pit."""
 
 
 @dataclass(frozen=True)
 class Deviation:
     """How the plane that the cloud shows differs from the site's.
 
-    offset_m along the site's normal, in the middle of its points; tilt_rad; and the same that noise alone may make:
-    sigma_m of one depth, sigma_rad of a plane that is off by sigma_m at the edge of its points.
+    offset_m along the site's normal, in the middle of its points; tilt_rad; and the same that noise
+    alone may make: sigma_m of one depth, sigma_rad of a plane that is off by sigma_m at the edge of
+    its points.
     """
 
     offset_m: float
@@ -50,8 +55,11 @@ class Deviation:
     sigma_rad: float
 
 
-def doubts(surface: Surface, plane: Plane, grizzly: GrizzlyConfig, config: HealthConfig) -> Iterator[Reason]:
-    """SCREEN_MOVED where the cloud shows the screen elsewhere, or neither it nor a bed of ore that hides it.
+def doubts(
+    surface: Surface, plane: Plane, grizzly: GrizzlyConfig, config: HealthConfig
+) -> Iterator[Reason]:
+    """SCREEN_MOVED where the cloud shows the screen elsewhere, or neither it nor a bed of ore that
+    hides it.
 
     Parameters
     ----------
@@ -72,22 +80,39 @@ def doubts(surface: Surface, plane: Plane, grizzly: GrizzlyConfig, config: Healt
         seen = np.isfinite(surface.xyz[..., 2])
         if seen.sum() < LEAST_HIDDEN * _outline(seen).sum() and not _stays(sample, plane):
             text = "neither is a screen seen at grizzly.plane, nor ore that hides it"
-            yield Reason("SCREEN_MOVED", f"{text}: was the camera moved, or is the calibration of another one?")
+            yield Reason(
+                "SCREEN_MOVED",
+                f"{text}: was the camera moved, or is the calibration of another one?",
+            )
         return
     farthest = config.max_screen_offset * found.sigma_m
     steepest = max(config.max_screen_tilt_rad, found.sigma_rad)
-    # Together: of a screen that sinks out of the working volume only what is highest is seen, a little low and turned.
+    # Together: of a screen that sinks out of the working volume only what is highest is seen, a
+    # little low and turned.
     if np.hypot(found.offset_m / farthest, found.tilt_rad / steepest) > 1:
-        where = f"{1000 * abs(found.offset_m):.0f} mm {'above' if found.offset_m > 0 else 'below'} grizzly.plane"
-        limits = f"allowed are {1000 * farthest:.0f} mm or {np.degrees(steepest):.1f}°, less of both together"
-        text = f"the screen is seen {where} and turned by {np.degrees(found.tilt_rad):.1f}°, {limits}"
-        yield Reason("SCREEN_MOVED", f"{text}: was the camera moved, or is the calibration of another one?")
+        where = (
+            f"{1000 * abs(found.offset_m):.0f} mm {'above' if found.offset_m > 0 else 'below'}"
+            " grizzly.plane"
+        )
+        limits = (
+            f"allowed are {1000 * farthest:.0f} mm or {np.degrees(steepest):.1f}°, less of both"
+            " together"
+        )
+        text = (
+            f"the screen is seen {where} and turned by {np.degrees(found.tilt_rad):.1f}°, {limits}"
+        )
+        yield Reason(
+            "SCREEN_MOVED", f"{text}: was the camera moved, or is the calibration of another one?"
+        )
 
 
-def bar_doubts(moved: Registration | None, opening_m: float | None, config: HealthConfig) -> Iterator[Reason]:
+def bar_doubts(
+    moved: Registration | None, opening_m: float | None, config: HealthConfig
+) -> Iterator[Reason]:
     """SCREEN_MOVED where the bars were measured farther from their place than may be corrected.
 
-    Their whole plane counts, which thousands of pixels tell to millimetres, not the noise of one depth.
+    Their whole plane counts, which thousands of pixels tell to millimetres, not the noise of one
+    depth.
     """
     if moved is None or opening_m is None:
         return
@@ -95,7 +120,10 @@ def bar_doubts(moved: Registration | None, opening_m: float | None, config: Heal
     most = max(config.max_bar_shift * opening_m, config.max_bar_shift_px * moved.px_m)
     if moved.worst_m <= most:
         return
-    where = f"{1000 * abs(moved.offset_m):.0f} mm {'above' if moved.offset_m > 0 else 'below'} their place"
+    where = (
+        f"{1000 * abs(moved.offset_m):.0f} mm {'above' if moved.offset_m > 0 else 'below'} their"
+        " place"
+    )
     text = f"the bars are measured {where}, turned by {np.degrees(moved.tilt_rad):.2f}°"
     limit = f"up to {1000 * moved.worst_m:.0f} mm off, {1000 * most:.0f} mm may be corrected"
     remedy = "was the camera moved, or is the calibration of another one?"
@@ -106,7 +134,9 @@ def deviation(
     surface: Surface, sample: Sample, plane: Plane, config: GrizzlyConfig, least_share: float
 ) -> Deviation | None:
     """How far the clearest plane of the cloud is from `plane`; None where no plane is clear."""
-    planes = [refine(sample, plane, BarFit(None, 0.0)) for plane, _ in candidate_planes(sample, config)]
+    planes = [
+        refine(sample, plane, BarFit(None, 0.0)) for plane, _ in candidate_planes(sample, config)
+    ]
     wide = [candidate for candidate in planes if _is_wide(sample, candidate, least_share)]
     if not wide:
         return None
@@ -137,7 +167,9 @@ def _is_wide(sample: Sample, plane: Plane, least_share: float) -> bool:
 
 
 def _open_share(surface: Surface, plane: Plane, config: GrizzlyConfig) -> float:
-    """Share of the pixels within the outline of the plane's points that show nothing on it or above."""
+    """Share of the pixels within the outline of the plane's points that show nothing on it or
+    above.
+    """
     step = max(1, int(np.sqrt(surface.xyz[..., 2].size / GRID)))
     height = plane.height(surface.xyz[::step, ::step])
     tolerance = tolerances(surface.sigma_z[::step, ::step], config)
@@ -171,7 +203,8 @@ def _spread(xyz: F64) -> float:
 
 def _deviation(xyz: F64, seen: Plane, plane: Plane, surface: Surface) -> Deviation:
     middle = xyz.mean(0)
-    # A disparity's noise moves a point along its ray; what of that is along the normal is offset / z.
+    # A disparity's noise moves a point along its ray; what of that is along the normal is offset /
+    # z.
     share = surface.sigma_z / surface.xyz[..., 2]
     share = share[np.isfinite(share)]
     half = len(share) // 2

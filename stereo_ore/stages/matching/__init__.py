@@ -1,4 +1,6 @@
-"""Stereo matching: a rectified pair → float disparities, and what the matcher doubts about each of them."""
+"""Stereo matching: a rectified pair → float disparities, and what the matcher doubts about each of
+them.
+"""
 
 from stereo_ore.stages.matching import background
 from stereo_ore.stages.matching.fusion import fuse

@@ -21,16 +21,19 @@ MOVED_PX = 0.75
 """A screen that is mostly this far from where it was: the camera or the screen has moved."""
 
 SEEN_SHARE, LEAST_PIXELS = 0.2, 500
-"""Share of the model's pixels that must be seen unchanged, and how many are needed to judge at all."""
+"""Share of the model's pixels that must be seen unchanged, and how many are needed to judge at
+all."""
 
 FARTHER_SHARE = 0.15
-"""Nothing lies behind the empty screen: more pixels than this that do are a sign of another view."""
+"""Nothing lies behind the empty screen: more pixels than this that do are a sign of another
+view."""
 
 FORMAT = "stereo_ore/background/1"
 
 
 def build(disparities: Sequence[Disparity]) -> Background:
-    """The model from one or many frames of the empty screen: median and robust standard deviation of each pixel.
+    """The model from one or many frames of the empty screen: median and robust standard deviation
+    of each pixel.
 
     Raises
     ------
@@ -40,7 +43,11 @@ def build(disparities: Sequence[Disparity]) -> Background:
     shapes = {disparity.values.shape for disparity in disparities}
     if len(shapes) != 1:
         problem = f"frames of {len(shapes)} sizes" if shapes else "no frame"
-        raise ConfigError(f"{problem} of the empty screen", key="background", remedy="Record the empty screen again")
+        raise ConfigError(
+            f"{problem} of the empty screen",
+            key="background",
+            remedy="Record the empty screen again",
+        )
     stack = np.stack([disparity.values for disparity in disparities])
     median = _median(stack)
     sigma = np.maximum(1.4826 * _median(np.abs(stack - median)), np.float32(LEAST_SIGMA_PX))
@@ -48,7 +55,9 @@ def build(disparities: Sequence[Disparity]) -> Background:
 
 
 def _median(stack: F32) -> F32:
-    """Median over axis 0 of what is finite (the lower one of two), NaN where at most half the frames have a value."""
+    """Median over axis 0 of what is finite (the lower one of two), NaN where at most half the
+    frames have a value.
+    """
     count = np.isfinite(stack).sum(0)
     middle = np.take_along_axis(np.sort(stack, 0), np.maximum(count - 1, 0)[None] // 2, 0)[0]
     return np.where(2 * count > len(stack), middle, np.float32(np.nan))
@@ -63,7 +72,9 @@ def shows_screen(background: Background, disparity: Disparity) -> Mask:
 
 
 def _tolerance(background: Background) -> F32:
-    return np.asarray(np.maximum(np.float32(NEARER_SIGMA) * background.sigma, np.float32(NEARER_PX)), np.float32)
+    return np.asarray(
+        np.maximum(np.float32(NEARER_SIGMA) * background.sigma, np.float32(NEARER_PX)), np.float32
+    )
 
 
 def compare(background: Background, disparity: Disparity) -> float:
@@ -86,7 +97,8 @@ def compare(background: Background, disparity: Disparity) -> float:
     another = farther.sum() > FARTHER_SHARE * both.sum() or unchanged.sum() < SEEN_SHARE * modelled
     if modelled < LEAST_PIXELS or another or _slid(shift, unchanged):
         raise FrameError(
-            f"{unchanged.sum():,} of {modelled:,} pixels are as on the empty screen (median shift {moved:.2f} px)",
+            f"{unchanged.sum():,} of {modelled:,} pixels are as on the empty screen (median shift"
+            f" {moved:.2f} px)",
             code="CAMERA_MOVED",
             remedy="Calibrate the background again: camera or screen has moved",
         )
@@ -140,15 +152,23 @@ def load(path: Path) -> Background:
     try:
         with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             if str(file["format"]) != FORMAT:
-                raise ConfigError(f"has format {file['format']}, not {FORMAT}", file=path, key="format")
+                raise ConfigError(
+                    f"has format {file['format']}, not {FORMAT}", file=path, key="format"
+                )
             return Background(
-                np.asarray(file["disparity"], np.float32), np.asarray(file["sigma"], np.float32), int(file["frames"])
+                np.asarray(file["disparity"], np.float32),
+                np.asarray(file["sigma"], np.float32),
+                int(file["frames"]),
             )
     except OSError as fault:
-        raise ConfigError(f"can't be read: {fault.strerror or fault}", file=path, key="background") from None
+        raise ConfigError(
+            f"can't be read: {fault.strerror or fault}", file=path, key="background"
+        ) from None
     except ConfigError:
         raise
-    except Exception as fault:  # NumPy, the zip reader and its decompressors raise what they like on damaged files
+    except (
+        Exception
+    ) as fault:  # NumPy, the zip reader and its decompressors raise what they like on damaged files
         raise ConfigError(
             f"is not a model of the empty screen ({fault})",
             file=path,

@@ -11,7 +11,8 @@ BANDS = 4
 
 
 def in_bands(height: int, halo: int, work: Callable[[slice, slice, slice], None]) -> None:
-    """Call `work` for each band; the bands do not depend on the number of threads, so the result does not either.
+    """Call `work` for each band; the bands do not depend on the number of threads, so the result
+    does not either.
 
     Parameters
     ----------
@@ -20,7 +21,8 @@ def in_bands(height: int, halo: int, work: Callable[[slice, slice, slice], None]
     halo : int
         Rows above and below that the windows of a band's rim look at.
     work : callable
-        Called with the rows of the image to read, the part of those that is the band itself, and the band's rows.
+        Called with the rows of the image to read, the part of those that is the band itself, and
+        the band's rows.
     """
 
     def call(index: int) -> None:

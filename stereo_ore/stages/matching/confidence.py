@@ -1,4 +1,6 @@
-"""The probability that a disparity is right: one small network on what the two matches and the images say."""
+"""The probability that a disparity is right: one small network on what the two matches and the
+images say.
+"""
 
 from __future__ import annotations
 
@@ -28,22 +30,28 @@ STEP_PX, MAX_STEP_PX = 9, 16.0
 """Window over which steps of disparity are averaged, and how much one counts at most."""
 
 WITNESSES = (
-    "lr_diff_px", "agreed_7", "agreed_21", "agreed_61", "texture", "residual", "median_diff_px", "spread_px",
+    "lr_diff_px", "agreed_7", "agreed_21", "agreed_61", "texture", "residual", "median_diff_px",
+    "spread_px",
     "valid_share", "step_px",
 )  # fmt: skip
 """What the network is given: cues of `types.CUES`, and
 
 agreed_N    share of the pixels of a window on which left and right match agree, 0…1
-residual    logarithm of one plus the standard deviation of left − warped right over a window [grey levels]
+residual    logarithm of one plus the standard deviation of left − warped right over a window
+            [grey levels]
 texture     logarithm of one plus the cue of that name
 step_px     mean size of the steps of disparity along the rows in a window, px
 """
 
 
 def agreement(difference: I16) -> list[F32]:
-    """Share of pixels that agree in each window of `NEAR_PX`, (h, w) each, from differences [px / 16]."""
+    """Share of pixels that agree in each window of `NEAR_PX`, (h, w) each, from differences [px /
+    16].
+    """
     agreed = difference <= np.int16(AGREED_PX * sgbm.SUBPIXEL)
-    return list(pool().map(lambda side: windows.count(agreed, side) * np.float32(1 / side**2), NEAR_PX))
+    return list(
+        pool().map(lambda side: windows.count(agreed, side) * np.float32(1 / side**2), NEAR_PX)
+    )
 
 
 def witnesses(cues: Mapping[str, F32], agreed: list[F32], residual: F32, filled: F32) -> list[F32]:
@@ -72,14 +80,18 @@ def witnesses(cues: Mapping[str, F32], agreed: list[F32], residual: F32, filled:
 
 
 def judge(seen: list[F32], network: Network | None = None) -> F32:
-    """Probability of being within `RIGHT_PX` of the truth, (h, w) float32, from `witnesses`; the shipped network."""
+    """Probability of being within `RIGHT_PX` of the truth, (h, w) float32, from `witnesses`; the
+    shipped network.
+    """
     return (network or shipped()).map(seen)
 
 
 @cache
 def shipped() -> Network:
     """The network that comes with the package, of ``confidence.json``."""
-    stored = json.loads((files("stereo_ore.stages.matching") / "confidence.json").read_text(encoding="utf-8"))
+    stored = json.loads(
+        (files("stereo_ore.stages.matching") / "confidence.json").read_text(encoding="utf-8")
+    )
     if tuple(stored["witnesses"]) != WITNESSES:
         raise ValueError("confidence.json was trained on other witnesses; train it again")
     return Network(**stored["network"])

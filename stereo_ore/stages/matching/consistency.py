@@ -21,9 +21,9 @@ MISSING = np.int16(2**15 - 1)
 class Agreement:
     """What both directions found, (h, w).
 
-    left: disparity as matched [px / 16], negative where none was found; difference: |left − right| [px / 16],
-    `MISSING` where either has none; texture: RMS of the horizontal gradient [grey levels a px]; valid: consistent,
-    textured, seen by both eyes, and not a speckle.
+    left: disparity as matched [px / 16], negative where none was found; difference: |left − right|
+    [px / 16], `MISSING` where either has none; texture: RMS of the horizontal gradient [grey levels
+    a px]; valid: consistent, textured, seen by both eyes, and not a speckle.
     """
 
     left: I16
@@ -33,7 +33,9 @@ class Agreement:
 
     def rows(self, rows: slice) -> Agreement:
         """Some of its rows."""
-        return Agreement(self.left[rows], self.difference[rows], self.texture[rows], self.valid[rows])
+        return Agreement(
+            self.left[rows], self.difference[rows], self.texture[rows], self.valid[rows]
+        )
 
 
 def match_both(images: Crop, config: MatchingConfig, compared: Crop | None = None) -> Agreement:
@@ -46,12 +48,17 @@ def match_both(images: Crop, config: MatchingConfig, compared: Crop | None = Non
     config : MatchingConfig
         Parameters of the matcher.
     compared : Crop or None
-        What is matched in their place, such as the same with normalised contrast, which has texture everywhere.
+        What is matched in their place, such as the same with normalised contrast, which has texture
+        everywhere.
     """
     compared, config = compared or images, sgbm.with_block(config, images)
     left, right = sgbm.match_left(compared, config), sgbm.match_right(compared, config)
     inner, limit = images.inner, int(config.lr_max_diff * sgbm.SUBPIXEL)
-    difference, agreed, texture = np.empty_like(left), np.empty_like(left), np.empty(left.shape, np.float32)
+    difference, agreed, texture = (
+        np.empty_like(left),
+        np.empty_like(left),
+        np.empty(left.shape, np.float32),
+    )
 
     def compare(rows: slice, core: slice, band: slice) -> None:
         part, found = left[rows], left_right_difference(images.columns, left, right, rows)
@@ -61,11 +68,17 @@ def match_both(images: Crop, config: MatchingConfig, compared: Crop | None = Non
         agreed[band] = cv2.copyTo(part, same.view(np.uint8), np.full_like(part, sgbm.NONE))[core]
 
     in_bands(len(left), windows.TEXTURE_PX // 2, compare)
-    return Agreement(left, difference, texture, sgbm.drop_speckles(agreed, config.speckle_size, config.speckle_range))
+    return Agreement(
+        left,
+        difference,
+        texture,
+        sgbm.drop_speckles(agreed, config.speckle_size, config.speckle_range),
+    )
 
 
 def left_right_difference(columns: F32, left: I16, right: I16, rows: slice) -> I16:
-    """|left's disparity − the right's at its counterpart| [px / 16]; `MISSING` where either has none.
+    """|left's disparity − the right's at its counterpart| [px / 16]; `MISSING` where either has
+    none.
 
     Parameters
     ----------
@@ -82,7 +95,12 @@ def left_right_difference(columns: F32, left: I16, right: I16, rows: slice) -> I
     x = columns - sgbm.to_px(part)
     y = np.repeat(np.arange(len(part), dtype=np.float32)[:, None], x.shape[1], 1)
     there = cv2.remap(
-        right[rows], x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=float(sgbm.NONE)
+        right[rows],
+        x,
+        y,
+        cv2.INTER_NEAREST,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=float(sgbm.NONE),
     )
     missing = ((part < 0) | np.less(there, 0)) * MISSING
     return np.asarray(cv2.max(cv2.absdiff(part, there), missing), np.int16)

@@ -11,7 +11,8 @@ from stereo_ore.stages.matching.windows import Support
 from stereo_ore.types import F32, I16
 
 SHARE_PX, SPREAD_PX = 21, 9
-"""Windows of the valid share and of the spread; that of the photometric error is `subpixel.PATCH_PX`."""
+"""Windows of the valid share and of the spread; that of the photometric error is
+`subpixel.PATCH_PX`."""
 
 ABSOLUTE_TO_SIGMA = 1.2533
 """Standard deviation over mean absolute deviation of a normal distribution."""
@@ -38,14 +39,19 @@ def compute(found: Agreement, matched: I16, around: Support, residual: F32) -> d
     residual : (h, w) float32
         From `subpixel.refine`, [grey levels].
     """
-    deviation = _limited(np.asarray(cv2.absdiff(matched, cv2.medianBlur(matched, 5)), np.int16)) * around.weight
+    deviation = (
+        _limited(np.asarray(cv2.absdiff(matched, cv2.medianBlur(matched, 5)), np.int16))
+        * around.weight
+    )
     near = np.maximum(windows.count(around.valid, SPREAD_PX), np.float32(1))
     return {
         "valid_share": windows.count(around.valid, SHARE_PX) * np.float32(1 / SHARE_PX**2),
         "spread_px": np.float32(ABSOLUTE_TO_SIGMA) * windows.total(deviation, SPREAD_PX) / near,
         "lr_diff_px": _limited(found.difference) * around.weight,
         "texture": found.texture,
-        "photometric": np.float32(1 / ABSOLUTE_TO_SIGMA) * residual / (found.texture + np.float32(1)),
+        "photometric": np.float32(1 / ABSOLUTE_TO_SIGMA)
+        * residual
+        / (found.texture + np.float32(1)),
         "median_diff_px": deviation,
     }
 

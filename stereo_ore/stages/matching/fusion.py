@@ -1,4 +1,6 @@
-"""Several frames of a still scene as one: robust mean of the disparities, and a test that the scene was still."""
+"""Several frames of a still scene as one: robust mean of the disparities, and a test that the scene
+was still.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +17,8 @@ SMALL_WIDTH_PX = 320
 """Width at which frames are compared: what moves covers pixels of it, noise averages out."""
 
 CHANGE_SIGMA, LEAST_CHANGE, MOST_CHANGE = 6.0, 4.0, 12.0
-"""A pixel of the small frame has changed beyond this many standard deviations, kept between two grey levels: where all
-frames move, their differences are not noise."""
+"""A pixel of the small frame has changed beyond this many standard deviations, kept between two
+grey levels: where all frames move, their differences are not noise."""
 
 CHANGED_SHARE = 0.002
 """Share of changed pixels above which a frame moves."""
@@ -28,9 +30,10 @@ OUTLIER_PX = 1.0
 def fuse(pairs: Sequence[RectifiedPair], disparities: Sequence[Disparity]) -> Disparity:
     """One disparity from N frames of a still scene.
 
-    Each pixel is the mean of the disparities within `OUTLIER_PX` of their median, where more than half of the still
-    frames have one: √N less noise, where a median alone would give 0.8 √N. What all frames have in common, the
-    matcher's preference for whole pixels, is lessened by one more refinement on the mean images.
+    Each pixel is the mean of the disparities within `OUTLIER_PX` of their median, where more than
+    half of the still frames have one: √N less noise, where a median alone would give 0.8 √N. What
+    all frames have in common, the matcher's preference for whole pixels, is lessened by one more
+    refinement on the mean images.
 
     Parameters
     ----------
@@ -56,7 +59,11 @@ def fuse(pairs: Sequence[RectifiedPair], disparities: Sequence[Disparity]) -> Di
             code="MOVING_SCENE",
             remedy="Record when nothing moves, or fuse fewer frames",
         )
-    frames = [(pair, disparity) for pair, disparity, ok in zip(pairs, disparities, still, strict=True) if ok]
+    frames = [
+        (pair, disparity)
+        for pair, disparity, ok in zip(pairs, disparities, still, strict=True)
+        if ok
+    ]
     kept = [disparity for _, disparity in frames]
     region = _hull([disparity.region for disparity in kept])
     values, support = _robust_mean(np.stack([disparity.values for disparity in kept]))
@@ -67,14 +74,26 @@ def fuse(pairs: Sequence[RectifiedPair], disparities: Sequence[Disparity]) -> Di
         values,
         region,
         _mean([disparity.confidence for disparity in kept], np.isfinite(values)),
-        {name: np.mean([_spread(disparity, name, region) for disparity in kept], axis=0) for name in sorted(names)},
-        {**kept[0].diagnostics, "fused": len(kept), "refused": np.flatnonzero(~still).tolist(), "support": support},
+        {
+            name: np.mean([_spread(disparity, name, region) for disparity in kept], axis=0)
+            for name in sorted(names)
+        },
+        {
+            **kept[0].diagnostics,
+            "fused": len(kept),
+            "refused": np.flatnonzero(~still).tolist(),
+            "support": support,
+        },
     )
 
 
 def _mean(confidences: Sequence[F32], where: Mask) -> F32:
-    """Mean confidence of a pixel over the frames (H, W), a frame without a disparity counting as 0; NaN elsewhere."""
-    total = np.sum([np.nan_to_num(confidence) for confidence in confidences], axis=0, dtype=np.float32)
+    """Mean confidence of a pixel over the frames (H, W), a frame without a disparity counting as 0;
+    NaN elsewhere.
+    """
+    total = np.sum(
+        [np.nan_to_num(confidence) for confidence in confidences], axis=0, dtype=np.float32
+    )
     return np.where(where, total / np.float32(len(confidences)), np.float32(np.nan))
 
 
@@ -82,7 +101,9 @@ def _spread(disparity: Disparity, name: str, region: Region) -> F32:
     """A cue laid into a region that holds the disparity's own; 0 beside that."""
     own = disparity.region
     cue = np.zeros((region.y1 - region.y0, region.x1 - region.x0), np.float32)
-    cue[own.y0 - region.y0 : own.y1 - region.y0, own.x0 - region.x0 : own.x1 - region.x0] = disparity.cues[name]
+    cue[own.y0 - region.y0 : own.y1 - region.y0, own.x0 - region.x0 : own.x1 - region.x0] = (
+        disparity.cues[name]
+    )
     return cue
 
 
@@ -125,7 +146,9 @@ def _small(image: U8) -> F32:
 
 
 def _robust_mean(stack: F32) -> tuple[F32, float]:
-    """Mean of (N, H, W) near the median, NaN where at most half the frames have a value; mean support of the others."""
+    """Mean of (N, H, W) near the median, NaN where at most half the frames have a value; mean
+    support of the others.
+    """
     ordered = np.sort(stack, axis=0)
     count = np.isfinite(stack).sum(0)
     middle = np.take_along_axis(ordered, np.maximum(count - 1, 0)[None] // 2, 0)

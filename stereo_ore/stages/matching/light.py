@@ -1,4 +1,6 @@
-"""Eyes that see the scene in different light: like brightness or local normalisation, where a small copy gains."""
+"""Eyes that see the scene in different light: like brightness or local normalisation, where a small
+copy gains.
+"""
 
 from __future__ import annotations
 
@@ -25,11 +27,13 @@ COARSE = {
     "speckle_size": 20,
     "speckle_range": 1.0,
 }
-"""A noisy disparity of the small copy would widen the range, so doubt decides against it; no lump is a speckle."""
+"""A noisy disparity of the small copy would widen the range, so doubt decides against it; no lump
+is a speckle."""
 
 ALIKE_LOSS, EVEN_GAIN = 0.01, 0.018
-"""Share of the pixels that may agree less with like brightness, which hardly ever harms; and that must agree in
-addition for normalised images to be matched, which cost a point of bad pixels or more where light is the same."""
+"""Share of the pixels that may agree less with like brightness, which hardly ever harms; and that
+must agree in addition for normalised images to be matched, which cost a point of bad pixels or more
+where light is the same."""
 
 ENOUGH = 0.9
 """Share of the pixels that agree which no other light would raise much: then the look is over."""
@@ -38,8 +42,8 @@ UNLIKE = 0.5
 """Mean difference of the eyes' brightness [grey levels] from which on one is given the other's."""
 
 SIGMA_PX, NOISE, CONTRAST, MIDDLE = 7.0, 4.0, 42.0, 128.0
-"""Standard deviation of the window; grey levels added to the contrast in it, that of noise; grey levels given to one
-standard deviation; grey level given to the mean."""
+"""Standard deviation of the window; grey levels added to the contrast in it, that of noise; grey
+levels given to one standard deviation; grey level given to the mean."""
 
 
 def coarse_scale(width: int) -> int:
@@ -51,7 +55,8 @@ def coarse_scale(width: int) -> int:
 class Look:
     """What a small copy shows: what both directions find on it, and in which of its images.
 
-    `like` is whether the right eye's brightness is to be made the left's, `even` whether to match normalised images.
+    `like` is whether the right eye's brightness is to be made the left's, `even` whether to match
+    normalised images.
     """
 
     found: Agreement
@@ -65,7 +70,9 @@ class Look:
 
 
 def first_look(small: Crop, config: MatchingConfig) -> Look:
-    """Match a small copy with like brightness, and where that is not enough as it is and normalised; choose."""
+    """Match a small copy with like brightness, and where that is not enough as it is and
+    normalised; choose.
+    """
     quick = config.model_copy(update=COARSE)
     alike = with_like_brightness(small) if config.even_light else small
     best = Look(consistency.match_both(alike, quick), like=alike is not small, even=False)
@@ -79,34 +86,47 @@ def first_look(small: Crop, config: MatchingConfig) -> Look:
 
 
 def evened(images: Crop, config: MatchingConfig) -> tuple[Crop, Crop]:
-    """The images with their gain, and those to be matched, as far as a small copy shows that it pays.
+    """The images with their gain, and those to be matched, as far as a small copy shows that it
+    pays.
 
-    Rounded to whole grey levels, images of like brightness suit the matcher, but not the refinement.
+    Rounded to whole grey levels, images of like brightness suit the matcher, but not the
+    refinement.
     """
     scale = coarse_scale(images.left.shape[1])
-    n, (height, width) = images.region.num_disparities // scale, (side // scale for side in images.left.shape)
+    n, (height, width) = (
+        images.region.num_disparities // scale,
+        (side // scale for side in images.left.shape),
+    )
     if not config.even_light or min(n, height, width - 2 * n) < 1:
         return images, images
     inner = Region(n, 0, width - n, height, 0, round_up(n + 1))
-    look = first_look(sgbm.crop(reduced(images.left, scale), reduced(images.right, scale), inner), config)
+    look = first_look(
+        sgbm.crop(reduced(images.left, scale), reduced(images.right, scale), inner), config
+    )
     compared = with_like_brightness(images) if look.like else images
     gain = float(compared.right.std() / max(images.right.std(), 1.0)) if look.like else 1.0
     return replace(images, gain=gain), normalised(images) if look.even else compared
 
 
 def with_like_brightness(images: Crop) -> Crop:
-    """The right image with the left one's histogram; the same images where theirs are alike already.
+    """The right image with the left one's histogram; the same images where theirs are alike
+    already.
 
-    A monotone map of brightness, that of the distributions, makes up for exposure, gain, offset and gamma.
+    A monotone map of brightness, that of the distributions, makes up for exposure, gain, offset and
+    gamma.
     """
     first, last = images.right_columns
-    own, other = (np.bincount(x.ravel(), minlength=256) for x in (images.right[:, first:last], images.inner))
+    own, other = (
+        np.bincount(x.ravel(), minlength=256) for x in (images.right[:, first:last], images.inner)
+    )
     shares = [np.cumsum(count) / count.sum() for count in (own, other)]
     levels = np.arange(256)
     wanted = np.interp(shares[0], shares[1], levels)
     if float(np.abs(wanted - levels) @ own) <= UNLIKE * own.sum():
         return images
-    return replace(images, right=np.asarray(cv2.LUT(images.right, np.rint(wanted).astype(np.uint8)), np.uint8))
+    return replace(
+        images, right=np.asarray(cv2.LUT(images.right, np.rint(wanted).astype(np.uint8)), np.uint8)
+    )
 
 
 def normalised(images: Crop) -> Crop:

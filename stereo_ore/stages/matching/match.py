@@ -1,4 +1,6 @@
-"""From a rectified pair to disparities: match both ways, compare, drop what can't be right, say what is doubtful."""
+"""From a rectified pair to disparities: match both ways, compare, drop what can't be right, say
+what is doubtful.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,16 @@ import cv2
 import numpy as np
 
 from stereo_ore.config import MatchingConfig
-from stereo_ore.stages.matching import confidence, consistency, cues, light, relief, sgbm, subpixel, windows
+from stereo_ore.stages.matching import (
+    confidence,
+    consistency,
+    cues,
+    light,
+    relief,
+    sgbm,
+    subpixel,
+    windows,
+)
 from stereo_ore.stages.matching.bands import in_bands
 from stereo_ore.stages.matching.consistency import Agreement
 from stereo_ore.stages.matching.region import default_disparities
@@ -31,8 +42,9 @@ def match(pair: RectifiedPair, region: Region, config: MatchingConfig) -> Dispar
     Returns
     -------
     Disparity
-        Full-image values [px], the calibration's correction added, NaN outside the region and where nothing reliable
-        was found; the probability that each is right; cues of each pixel of the region; counts of what each step left.
+        Full-image values [px], the calibration's correction added, NaN outside the region and where
+        nothing reliable was found; the probability that each is right; cues of each pixel of the
+        region; counts of what each step left.
     """
     images, compared = light.evened(sgbm.crop(grey(pair.left), grey(pair.right), region), config)
     found = consistency.match_both(images, config, compared)
@@ -40,7 +52,9 @@ def match(pair: RectifiedPair, region: Region, config: MatchingConfig) -> Dispar
     matched = found.left >= 0
     textured = matched & (found.texture >= np.float32(config.min_texture))
     sure = found.valid & (measured.confidence >= np.float32(config.min_confidence))
-    values, chances = (np.full((pair.rig.height, pair.rig.width), np.nan, np.float32) for _ in range(2))
+    values, chances = (
+        np.full((pair.rig.height, pair.rig.width), np.nan, np.float32) for _ in range(2)
+    )
     offset = np.float32(region.min_disparity + pair.rig.disparity_offset_px)
     np.copyto(values[region.slices], measured.values + offset, where=sure)
     np.copyto(chances[region.slices], measured.confidence, where=sure)
@@ -52,7 +66,9 @@ def match(pair: RectifiedPair, region: Region, config: MatchingConfig) -> Dispar
 
 @dataclass(frozen=True)
 class _Measured:
-    """Refined disparities in the crop [px], the probability that they are right, cues, all (h, w) float32."""
+    """Refined disparities in the crop [px], the probability that they are right, cues, all (h, w)
+    float32.
+    """
 
     values: F32
     confidence: F32
@@ -78,8 +94,11 @@ def _measure(images: sgbm.Crop, found: Agreement) -> _Measured:
     return _Measured(values, chances, doubts)
 
 
-def evidence(images: sgbm.Crop, found: Agreement, agreed: list[F32]) -> tuple[F32, dict[str, F32], list[F32]]:
-    """Refined disparities in the crop [px], cues, and what the confidence is judged by, all (h, w) float32.
+def evidence(
+    images: sgbm.Crop, found: Agreement, agreed: list[F32]
+) -> tuple[F32, dict[str, F32], list[F32]]:
+    """Refined disparities in the crop [px], cues, and what the confidence is judged by, all (h, w)
+    float32.
 
     Parameters
     ----------

@@ -14,7 +14,8 @@ from stereo_ore.stages.matching.region import MARGIN_PX, round_up
 from stereo_ore.types import F32, Mask, RectifiedPair, Region, Rig, Volume
 
 FAR_SHARE = 0.005
-"""Share of the far end of the disparities that may be missed behind the volume: wrong matches are there."""
+"""Share of the far end of the disparities that may be missed behind the volume: wrong matches are
+there."""
 
 SHORT_RANGE = 32
 """Without a volume so few disparities are sooner searched than looked over."""
@@ -23,11 +24,13 @@ LEAST_SHARE = 0.02
 """Below this share of matched pixels the small copy is not believed."""
 
 
-def narrow(pair: RectifiedPair, region: Region, volume: Volume | None, config: MatchingConfig) -> Region:
+def narrow(
+    pair: RectifiedPair, region: Region, volume: Volume | None, config: MatchingConfig
+) -> Region:
     """The part of a region, and of its disparities, that this frame shows.
 
-    A reduced copy is matched first. It is searched down to infinity: a pixel that shows the pit behind the volume must
-    be free to say so, or it would be given the best disparity inside.
+    A reduced copy is matched first. It is searched down to infinity: a pixel that shows the pit
+    behind the volume must be free to say so, or it would be given the best disparity inside.
 
     Parameters
     ----------
@@ -63,11 +66,18 @@ def narrow(pair: RectifiedPair, region: Region, volume: Volume | None, config: M
 def _coarse_region(rig: Rig, region: Region, scale: int) -> Region:
     lowest = math.floor(min(region.min_disparity, max(0.0, -rig.doffs_px)) / scale)
     highest = math.ceil((region.min_disparity + region.num_disparities) / scale)
-    x1, y1 = min(-(-region.x1 // scale), rig.width // scale), min(-(-region.y1 // scale), rig.height // scale)
-    return Region(region.x0 // scale, region.y0 // scale, x1, y1, lowest, round_up(highest - lowest))
+    x1, y1 = (
+        min(-(-region.x1 // scale), rig.width // scale),
+        min(-(-region.y1 // scale), rig.height // scale),
+    )
+    return Region(
+        region.x0 // scale, region.y0 // scale, x1, y1, lowest, round_up(highest - lowest)
+    )
 
 
-def _in_volume(rig: Rig, coarse: Region, scale: int, disparity: F32, seen: Mask, volume: Volume) -> Mask:
+def _in_volume(
+    rig: Rig, coarse: Region, scale: int, disparity: F32, seen: Mask, volume: Volume
+) -> Mask:
     """The pixels of the copy whose points lie in the volume."""
     rows, columns = np.nonzero(seen)
     z = rig.depth(disparity[seen] + rig.disparity_offset_px)
@@ -79,7 +89,10 @@ def _in_volume(rig: Rig, coarse: Region, scale: int, disparity: F32, seen: Mask,
 
 def _around(region: Region, coarse: Region, scale: int, inside: Mask) -> Region:
     """The rectangle of the region that holds the pixels inside, with a margin."""
-    rows, columns = np.flatnonzero(inside.any(1)) + coarse.y0, np.flatnonzero(inside.any(0)) + coarse.x0
+    rows, columns = (
+        np.flatnonzero(inside.any(1)) + coarse.y0,
+        np.flatnonzero(inside.any(0)) + coarse.x0,
+    )
     margin = MARGIN_PX + scale
     return replace(
         region,
@@ -90,7 +103,9 @@ def _around(region: Region, coarse: Region, scale: int, inside: Mask) -> Region:
     )
 
 
-def _range(region: Region, coarse: Region, scale: int, disparity: F32, seen: Mask, inside: Mask | None) -> Region:
+def _range(
+    region: Region, coarse: Region, scale: int, disparity: F32, seen: Mask, inside: Mask | None
+) -> Region:
     """The region with the disparities seen in it, half a pixel of the copy more at both ends."""
     part = (
         slice(region.y0 // scale - coarse.y0, -(-region.y1 // scale) - coarse.y0),
@@ -101,5 +116,7 @@ def _range(region: Region, coarse: Region, scale: int, disparity: F32, seen: Mas
     if inside is not None:
         farthest = min(farthest, float(disparity[inside].min()))
     lowest = max(math.floor(farthest - scale / 2), coarse.min_disparity * scale)
-    highest = min(math.ceil(found.max() + scale / 2), region.min_disparity + region.num_disparities - 1)
+    highest = min(
+        math.ceil(found.max() + scale / 2), region.min_disparity + region.num_disparities - 1
+    )
     return replace(region, min_disparity=lowest, num_disparities=round_up(highest - lowest + 1))

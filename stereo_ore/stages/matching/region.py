@@ -57,7 +57,8 @@ def default_disparities(width: int) -> int:
 
 
 def visible_part(rig: Rig, volume: Volume) -> F64:
-    """Corners (n, 3) [m] of the part of the volume that is in view, as near as the default disparities reach.
+    """Corners (n, 3) [m] of the part of the volume that is in view, as near as the default
+    disparities reach.
 
     The faces of the box are clipped by the planes of the view (Sutherland and Hodgman 1974).
     """

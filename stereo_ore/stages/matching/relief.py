@@ -1,6 +1,8 @@
-"""How a disparity stands to the surface around it: planes in disparity space, fitted on reduced copies.
+"""How a disparity stands to the surface around it: planes in disparity space, fitted on reduced
+copies.
 
-A patch of wrong disparities is smooth inside; planes over wider windows show that it stands off what is around it.
+A patch of wrong disparities is smooth inside; planes over wider windows show that it stands off
+what is around it.
 """
 
 from __future__ import annotations
@@ -14,7 +16,8 @@ from stereo_ore.threads import pool
 from stereo_ore.types import F32, RELIEF_WINDOWS_PX, Mask
 
 REDUCTIONS = {14: 2, 36: 4, 72: 8}
-"""How far the image is reduced for each window: sums over some seven pixels of a copy tell as much as over all."""
+"""How far the image is reduced for each window: sums over some seven pixels of a copy tell as much
+as over all."""
 
 RIDGE = 0.3
 """Added to the variances of position [px² of the copy]: where they vanish, the plane lies flat."""
@@ -25,7 +28,9 @@ LEAST = np.float32(1e-3)
 
 @dataclass(frozen=True)
 class Level:
-    """Planes of one window, (h, w) of the reduced copy: value at the pixel, scatter around it, share supported."""
+    """Planes of one window, (h, w) of the reduced copy: value at the pixel, scatter around it,
+    share supported.
+    """
 
     value: F32
     scatter: F32
@@ -35,9 +40,10 @@ class Level:
 def compute(values: F32, valid: Mask) -> dict[str, F32]:
     """Offset from the local plane, scatter around it, and its support, for each window.
 
-    A plane d ≈ c + a·x + b·y is fitted by least squares to the valid disparities of a square window (closed form, by
-    moments), x and y counted from its middle: the offset is d − c, the scatter the root mean square of the residuals,
-    to which a slope adds what it rises inside a pixel of the copy.
+    A plane d ≈ c + a·x + b·y is fitted by least squares to the valid disparities of a square window
+    (closed form, by moments), x and y counted from its middle: the offset is d − c, the scatter the
+    root mean square of the residuals, to which a slope adds what it rises inside a pixel of the
+    copy.
 
     Parameters
     ----------
@@ -48,8 +54,8 @@ def compute(values: F32, valid: Mask) -> dict[str, F32]:
     Returns
     -------
     dict
-        ``offset_N_px``, ``scatter_N_px`` and ``support_N``, each (h, w) float32, for N of `RELIEF_WINDOWS_PX`; the
-        offset is 0 where not valid.
+        ``offset_N_px``, ``scatter_N_px`` and ``support_N``, each (h, w) float32, for N of
+        `RELIEF_WINDOWS_PX`; the offset is 0 where not valid.
     """
     weight = valid.astype(np.float32)
     # Squares of small numbers keep their digits.
@@ -58,11 +64,19 @@ def compute(values: F32, valid: Mask) -> dict[str, F32]:
 
     def cues(window: int) -> dict[str, F32]:
         level = _planes(centred, weight, REDUCTIONS[window], window)
-        value, scatter, support = (_enlarge(x, values.shape) for x in (level.value, level.scatter, level.support))
+        value, scatter, support = (
+            _enlarge(x, values.shape) for x in (level.value, level.scatter, level.support)
+        )
         offset = (centred - value) * weight
-        return {f"offset_{window}_px": offset, f"scatter_{window}_px": scatter, f"support_{window}": support}
+        return {
+            f"offset_{window}_px": offset,
+            f"scatter_{window}_px": scatter,
+            f"support_{window}": support,
+        }
 
-    return {name: cue for found in pool().map(cues, RELIEF_WINDOWS_PX) for name, cue in found.items()}
+    return {
+        name: cue for found in pool().map(cues, RELIEF_WINDOWS_PX) for name, cue in found.items()
+    }
 
 
 def _planes(centred: F32, weight: F32, reduction: int, window: int) -> Level:
@@ -72,11 +86,17 @@ def _planes(centred: F32, weight: F32, reduction: int, window: int) -> Level:
     ramp = np.arange(size, dtype=np.float32) - np.float32(size // 2)
 
     def moment(image: F32, x: F32, y: F32) -> F32:
-        return np.asarray(cv2.sepFilter2D(image, cv2.CV_32F, x, y, borderType=cv2.BORDER_CONSTANT), np.float32)
+        return np.asarray(
+            cv2.sepFilter2D(image, cv2.CV_32F, x, y, borderType=cv2.BORDER_CONSTANT), np.float32
+        )
 
     total = moment(w, one, one)
     each = np.float32(1) / (total + LEAST)
-    mx, my, md = moment(w, ramp, one) * each, moment(w, one, ramp) * each, moment(d, one, one) * each
+    mx, my, md = (
+        moment(w, ramp, one) * each,
+        moment(w, one, ramp) * each,
+        moment(d, one, one) * each,
+    )
     xx = moment(w, ramp * ramp, one) * each - mx * mx + np.float32(RIDGE)
     yy = moment(w, one, ramp * ramp) * each - my * my + np.float32(RIDGE)
     xy = moment(w, ramp, ramp) * each - mx * my

@@ -1,4 +1,6 @@
-"""Semi-global matching in both directions on the crop that a region needs (Hirschmüller 2008, OpenCV's StereoSGBM)."""
+"""Semi-global matching in both directions on the crop that a region needs (Hirschmüller 2008,
+OpenCV's StereoSGBM).
+"""
 
 from __future__ import annotations
 
@@ -15,15 +17,16 @@ NONE = -SUBPIXEL
 """Any negative disparity of a crop means none."""
 
 OWN_CHECK_OFF = 1_000_000
-"""OpenCV compares left with right by whole pixels; -1, which is said to switch that off, acts as 1 px."""
+"""OpenCV compares left with right by whole pixels; -1, which is said to switch that off, acts as 1
+px."""
 
 CLEAN_PX, NOISY_PX, NOISY = 3, 5, 1.1
-"""Matching windows of an automatic size, and the noise [grey levels] from which on the larger one is taken: it errs
-less there, while the smaller one follows what is thin."""
+"""Matching windows of an automatic size, and the noise [grey levels] from which on the larger one
+is taken: it errs less there, while the smaller one follows what is thin."""
 
 NOISE_CELL_PX, NOISE_SHARE, NOISE_ROWS = 16, 5, 4
-"""Cells whose noise is measured, the per cent of them that are plainest, and of how many stretches of rows one will do.
-"""
+"""Cells whose noise is measured, the per cent of them that are plainest, and of how many stretches
+of rows one will do. """
 
 MODES = {
     "sgbm": cv2.STEREO_SGBM_MODE_SGBM,
@@ -35,11 +38,13 @@ MODES = {
 
 @dataclass(frozen=True)
 class Crop:
-    """The grey images that a region needs, (h, w + 2n) each for n disparities; pixels outside the image repeat its rim.
+    """The grey images that a region needs, (h, w + 2n) each for n disparities; pixels outside the
+    image repeat its rim.
 
-    Region column j is column j + n of both. The right image is shifted by the smallest disparity, so that the search
-    begins at zero and no column of the region is lost to the border. Disparities of a crop are counted from there.
-    `image_width` is that of the whole images, `gain` the left eye's contrast over the right one's.
+    Region column j is column j + n of both. The right image is shifted by the smallest disparity,
+    so that the search begins at zero and no column of the region is lost to the border. Disparities
+    of a crop are counted from there. `image_width` is that of the whole images, `gain` the left
+    eye's contrast over the right one's.
     """
 
     left: U8
@@ -62,7 +67,9 @@ class Crop:
 
     @property
     def right_columns(self) -> tuple[int, int]:
-        """First and last (exclusive) crop column that holds the right image itself and may match the region."""
+        """First and last (exclusive) crop column that holds the right image itself and may match
+        the region.
+        """
         region, width = self.region, self.right.shape[1] - self.region.num_disparities
         start = region.num_disparities + region.min_disparity - region.x0
         return min(max(start, 0), width - 1), min(max(start + self.image_width, 1), width)
@@ -77,7 +84,10 @@ def crop(left: U8, right: U8, region: Region) -> Crop:
     n, shift = region.num_disparities, region.min_disparity
     rows = slice(region.y0, region.y1)
     start, stop = region.x0 - n, region.x1 + n
-    lefts, rights = _columns(left[rows], start, stop), _columns(right[rows], start - shift, stop - shift)
+    lefts, rights = (
+        _columns(left[rows], start, stop),
+        _columns(right[rows], start - shift, stop - shift),
+    )
     return Crop(lefts, rights, region, left.shape[1])
 
 
@@ -90,16 +100,24 @@ def with_block(config: MatchingConfig, images: Crop) -> MatchingConfig:
 
 
 def noise(image: U8) -> float:
-    """Standard deviation of the noise of a grey image [grey levels], from where it is plainest (Immerkær 1996).
+    """Standard deviation of the noise of a grey image [grey levels], from where it is plainest
+    (Immerkær 1996).
 
-    A mask that any slope of brightness leaves at zero is applied, and its mean size taken in each of many cells.
+    A mask that any slope of brightness leaves at zero is applied, and its mean size taken in each
+    of many cells.
     """
     cell, (height, width) = NOISE_CELL_PX, image.shape
     if height < cell or width < cell:
         return 0.0
-    rows = [image[y : y + cell, : width // cell * cell] for y in range(0, height - cell + 1, cell * NOISE_ROWS)]
+    rows = [
+        image[y : y + cell, : width // cell * cell]
+        for y in range(0, height - cell + 1, cell * NOISE_ROWS)
+    ]
     once = np.array([1, -2, 1], np.float32)
-    size = [np.abs(cv2.sepFilter2D(part, cv2.CV_32F, once, once)).reshape(cell, -1, cell).mean((0, 2)) for part in rows]
+    size = [
+        np.abs(cv2.sepFilter2D(part, cv2.CV_32F, once, once)).reshape(cell, -1, cell).mean((0, 2))
+        for part in rows
+    ]
     return float(np.percentile(np.concatenate(size), NOISE_SHARE) * np.sqrt(np.pi / 2) / 6)
 
 
@@ -108,15 +126,18 @@ def match_left(images: Crop, config: MatchingConfig) -> I16:
     n = images.region.num_disparities
     end = images.left.shape[1] - n
     matcher = _matcher(config, 0, n)
-    fixed = matcher.compute(np.ascontiguousarray(images.left[:, :end]), np.ascontiguousarray(images.right[:, :end]))
+    fixed = matcher.compute(
+        np.ascontiguousarray(images.left[:, :end]), np.ascontiguousarray(images.right[:, :end])
+    )
     return np.ascontiguousarray(fixed[:, n:], np.int16)
 
 
 def match_right(images: Crop, config: MatchingConfig) -> I16:
-    """Disparity of the right image's pixels, (h, w + n) int16 [px / 16], negative where none was found.
+    """Disparity of the right image's pixels, (h, w + n) int16 [px / 16], negative where none was
+    found.
 
-    Column j is column j of the crop, and matches its left column j + disparity. Only columns of the image itself are
-    matched: those beside it repeat its rim.
+    Column j is column j of the crop, and matches its left column j + disparity. Only columns of the
+    image itself are matched: those beside it repeat its rim.
     """
     n = images.region.num_disparities
     first, last = images.right_columns
@@ -148,7 +169,9 @@ def _columns(image: U8, start: int, stop: int) -> U8:
     width = image.shape[1]
     inner = image[:, min(max(start, 0), width - 1) : max(min(stop, width), 1)]
     before, after = max(-start, 0), max(stop - width, 0)
-    return np.asarray(cv2.copyMakeBorder(inner, 0, 0, before, after, cv2.BORDER_REPLICATE), np.uint8)
+    return np.asarray(
+        cv2.copyMakeBorder(inner, 0, 0, before, after, cv2.BORDER_REPLICATE), np.uint8
+    )
 
 
 def _matcher(config: MatchingConfig, lowest: int, count: int) -> cv2.StereoSGBM:

@@ -1,4 +1,6 @@
-"""Sub-pixel disparities from the images themselves: the matcher's parabola prefers whole pixels, the images do not."""
+"""Sub-pixel disparities from the images themselves: the matcher's parabola prefers whole pixels,
+the images do not.
+"""
 
 from __future__ import annotations
 
@@ -25,13 +27,15 @@ MAX_SHIFT_PX = 0.35
 """The matcher's parabola is hardly ever more wrong than this on the right minimum."""
 
 NOISE, ROW_NOISE = 1.0, 3.0
-"""Variance of the gradient along rows that noise alone makes [grey levels²]: without texture the parabola stands. That
-along columns is counted as more, since rows are nearly aligned: a shift of rows must be plain to be believed."""
+"""Variance of the gradient along rows that noise alone makes [grey levels²]: without texture the
+parabola stands. That along columns is counted as more, since rows are nearly aligned: a shift of
+rows must be plain to be believed."""
 
 
 @dataclass(frozen=True)
 class Refined:
-    """Refined disparities [px] (anything where not valid), and how unlike the eyes are there, both (h, w) float32.
+    """Refined disparities [px] (anything where not valid), and how unlike the eyes are there, both
+    (h, w) float32.
 
     `residual` is the standard deviation of left − warped right over the window [grey levels].
     """
@@ -41,13 +45,14 @@ class Refined:
 
 
 def refine(images: Crop, filled: F32, around: Support) -> Refined:
-    """One Gauss-Newton step of Lucas and Kanade's (1981) registration for each pixel, whatever the eyes' brightness.
+    """One Gauss-Newton step of Lucas and Kanade's (1981) registration for each pixel, whatever the
+    eyes' brightness.
 
-    In a window I_L(x, y) = I_R(x − d − δ, y − ε) + c, with unknown shifts δ along the row and ε across it and unknown
-    offset c: the last two are eliminated, since exposure, vignetting and a residue of rectification would else be taken
-    for depth. Each pixel of the window is warped by its own disparity, so a slanted surface causes no bias. A step that
-    does not make the windows more alike is not taken. Averaging over pixels of one surface before and after lowers the
-    noise.
+    In a window I_L(x, y) = I_R(x − d − δ, y − ε) + c, with unknown shifts δ along the row and ε
+    across it and unknown offset c: the last two are eliminated, since exposure, vignetting and a
+    residue of rectification would else be taken for depth. Each pixel of the window is warped by
+    its own disparity, so a slanted surface causes no bias. A step that does not make the windows
+    more alike is not taken. Averaging over pixels of one surface before and after lowers the noise.
 
     Parameters
     ----------
@@ -95,10 +100,14 @@ def _variance(residual: F32, count: F32) -> F32:
 
 
 def warp(images: Crop, disparity: F32) -> F32:
-    """The right image as the left eye would see it, but for an offset, (h, w) float32 [grey levels]."""
+    """The right image as the left eye would see it, but for an offset, (h, w) float32 [grey
+    levels].
+    """
     right = images.right.astype(np.float32)
     x, y = images.columns - disparity, _rows(disparity)
-    laid = np.asarray(cv2.remap(right, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), np.float32)
+    laid = np.asarray(
+        cv2.remap(right, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), np.float32
+    )
     return laid if images.gain == 1 else laid * np.float32(images.gain)
 
 

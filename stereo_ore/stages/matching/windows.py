@@ -21,7 +21,8 @@ FAR = np.float32(2**15)
 
 @dataclass(frozen=True)
 class Support:
-    """Which pixels (h, w) have a disparity: as float32 0 or 1, and how many of those around each have one, at least 1.
+    """Which pixels (h, w) have a disparity: as float32 0 or 1, and how many of those around each
+    have one, at least 1.
 
     `count` is over a window of `SMOOTH_PX`.
     """
@@ -49,7 +50,9 @@ def total(image: F32, window: int) -> F32:
 
 def _box(image: U8 | F32, window: int) -> F32:
     size, border = (window, window), cv2.BORDER_REFLECT
-    return np.asarray(cv2.boxFilter(image, cv2.CV_32F, size, normalize=False, borderType=border), np.float32)
+    return np.asarray(
+        cv2.boxFilter(image, cv2.CV_32F, size, normalize=False, borderType=border), np.float32
+    )
 
 
 def horizontal_gradient(grey: U8 | F32) -> F32:

@@ -30,7 +30,11 @@ Box = tuple[slice, slice]
 
 
 def segment(
-    surface: Surface, grizzly: Grizzly, volume: Volume | None, config: SegmentConfig, weights: Weights | None = None
+    surface: Surface,
+    grizzly: Grizzly,
+    volume: Volume | None,
+    config: SegmentConfig,
+    weights: Weights | None = None,
 ) -> OreMap:
     """Label every lump in the image.
 
@@ -41,8 +45,8 @@ def segment(
     grizzly : Grizzly
         The screen; its bars, when known, tell steel from ore between bars.
     volume : Volume or None
-        The working volume that the surface was cropped to. Without one, what lies more than an opening beside the
-        screen, or wholly beside it, is no ore.
+        The working volume that the surface was cropped to. Without one, what lies more than an
+        opening beside the screen, or wholly beside it, is no ore.
     config : SegmentConfig
         Thresholds.
     weights : Weights or None
@@ -59,7 +63,11 @@ def segment(
     view = look(surface, grizzly, config, models.pixel, bounded=volume is not None)
     labels = np.zeros(view.mask.shape, np.int32)
     counts, lumps_before = dict.fromkeys(("parts", "dropped_small", "dropped_unlike"), 0), 0
-    heaps = [(b, heap) for b, heap in _heaps(view, config) if volume or (heap.inside[heap.mask] > 0).any()]
+    heaps = [
+        (b, heap)
+        for b, heap in _heaps(view, config)
+        if volume or (heap.inside[heap.mask] > 0).any()
+    ]
     found = pool().map(lambda heap: _segment_heap(heap[1], config, models), heaps)
     for (box, _), (lumps, tally) in zip(heaps, found, strict=True):
         room = (labels[box] == 0) & (lumps > 0)
@@ -86,7 +94,17 @@ def _heaps(view: View, config: SegmentConfig) -> Iterator[tuple[Box, View]]:
         box = np.s_[top : rows.stop + margin, left : columns.stop + margin]
         fields = {
             name: getattr(view, name)[box]
-            for name in ("filled", "raw", "grey", "bgr", "likely", "on_bar", "inside", "edge", "border")
+            for name in (
+                "filled",
+                "raw",
+                "grey",
+                "bgr",
+                "likely",
+                "on_bar",
+                "inside",
+                "edge",
+                "border",
+            )
         }
         yield box, replace(view, mask=view.mask[box] & (heaps[box] == number), **fields)
 
@@ -110,10 +128,14 @@ def _segment_heap(view: View, config: SegmentConfig, models: Weights) -> tuple[I
     tally = {"parts": int(np.count_nonzero(np.bincount(parts.ravel())) - 1)} | dropped
     if coarse is view:
         return lumps, tally
-    seeds = cv2.resize(lumps.astype(np.float32), view.mask.shape[::-1], interpolation=cv2.INTER_NEAREST)
+    seeds = cv2.resize(
+        lumps.astype(np.float32), view.mask.shape[::-1], interpolation=cv2.INTER_NEAREST
+    )
     relief = smooth_relief(view.filled, view.mask, config.smooth_px)
     weight = config.relief_weight / view.relief.sigma_px
-    grown = grow(seeds.astype(np.int32), view.mask, view.grey, relief, weight, band_px(view, config))
+    grown = grow(
+        seeds.astype(np.int32), view.mask, view.grey, relief, weight, band_px(view, config)
+    )
     return filled(grown), tally
 
 
@@ -123,12 +145,18 @@ def oversegment(view: View, config: SegmentConfig) -> tuple[Scene, I32]:
     relief = smooth_relief(view.filled, view.mask, config.smooth_px)
     valleys = np.stack([valley_depth(relief, max(2, round(view.opening_px / n))) for n in REACHES])
     tolerance = config.valley_sigmas * sigma + config.valley_share * np.maximum(relief, 0)
-    strength = np.max([v / (w * tolerance) for v, w in zip(valleys, REACH_WEIGHTS, strict=True)], axis=0)
+    strength = np.max(
+        [v / (w * tolerance) for v, w in zip(valleys, REACH_WEIGHTS, strict=True)], axis=0
+    )
     barrier = long_parts(view.mask & (strength > 1), config.least_crease * view.opening_px)
     least = max(1.5, config.least_core * view.opening_px)
     seeds = cores(view.mask, barrier, config.neck, least)
-    parts = grow(seeds, view.mask, view.grey, relief, config.relief_weight / sigma, band_px(view, config))
-    colour = cv2.cvtColor(cv2.GaussianBlur(view.bgr, (0, 0), 1.5), cv2.COLOR_BGR2Lab).astype(np.float32)
+    parts = grow(
+        seeds, view.mask, view.grey, relief, config.relief_weight / sigma, band_px(view, config)
+    )
+    colour = cv2.cvtColor(cv2.GaussianBlur(view.bgr, (0, 0), 1.5), cv2.COLOR_BGR2Lab).astype(
+        np.float32
+    )
     scene = Scene(
         relief, view.raw, valleys, view.edge, gradient(relief) / np.float32(sigma), colour,
         view.likely, view.on_bar, view.inside, sigma, view.threshold_px, view.opening_px,
@@ -137,7 +165,12 @@ def oversegment(view: View, config: SegmentConfig) -> tuple[Scene, I32]:
 
 
 def _select(
-    scene: Scene, labels: I32, view: View, full_pixel_m: float, config: SegmentConfig, models: Weights
+    scene: Scene,
+    labels: I32,
+    view: View,
+    full_pixel_m: float,
+    config: SegmentConfig,
+    models: Weights,
 ) -> tuple[I32, dict[str, int]]:
     """Lumps numbered anew, and how many parts were dropped for being small or unlike a lump."""
     area = np.bincount(labels.ravel())
@@ -150,7 +183,10 @@ def _select(
     doubtful[labels[view.border]] = True
     wanted = np.where(doubtful, config.doubtful_probability, config.lump_probability)
     likely = large & (lump_probability(scene, labels, models.part) > wanted)
-    dropped = {"dropped_small": int((present & ~large).sum()), "dropped_unlike": int((large & ~likely).sum())}
+    dropped = {
+        "dropped_small": int((present & ~large).sum()),
+        "dropped_unlike": int((large & ~likely).sum()),
+    }
     return renumbered(labels, likely), dropped
 
 

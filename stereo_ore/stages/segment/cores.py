@@ -1,4 +1,6 @@
-"""Cores of single lumps: the thick parts of the ore mask, told apart where the necks between them are thin."""
+"""Cores of single lumps: the thick parts of the ore mask, told apart where the necks between them
+are thin.
+"""
 
 from __future__ import annotations
 
@@ -22,8 +24,9 @@ I64 = npt.NDArray[np.int64]
 class Peaks:
     """The N places that are thicker than what surrounds them, and the saddles between them.
 
-    `rank` (N,) is the number of levels below each peak and `thickness` (N,) its thickness [px]; `saddles` (S, 3) are
-    the number of levels below a saddle and the two peaks that it joins, the highest saddle first.
+    `rank` (N,) is the number of levels below each peak and `thickness` (N,) its thickness [px];
+    `saddles` (S, 3) are the number of levels below a saddle and the two peaks that it joins, the
+    highest saddle first.
     """
 
     rank: I64
@@ -34,9 +37,9 @@ class Peaks:
 def cores(mask: Mask, barrier: Mask, ratio: float, least: float) -> I32:
     """Label the cores of the mask's parts, 1…n.
 
-    A tree of cores (connected sets farther than a level from the mask's border and from barriers) is followed from
-    the thickest down. Where cores meet all stay if each is thicker than the neck by 1/ratio; otherwise the thinner
-    ones belong to the thickest.
+    A tree of cores (connected sets farther than a level from the mask's border and from barriers)
+    is followed from the thickest down. Where cores meet all stay if each is thicker than the neck
+    by 1/ratio; otherwise the thinner ones belong to the thickest.
 
     Parameters
     ----------
@@ -62,7 +65,8 @@ def cores(mask: Mask, barrier: Mask, ratio: float, least: float) -> I32:
 
 
 def _find_peaks(thickness: F32, place: I64, rank: I64, width: int) -> tuple[I64, Peaks]:
-    """The peak that the way up from each place (flat index into rows of `width`) leads to, and the peaks.
+    """The peak that the way up from each place (flat index into rows of `width`) leads to, and the
+    peaks.
 
     Peaks are numbered from the highest level down, at one level from the top of the image.
     """
@@ -81,7 +85,9 @@ def _find_peaks(thickness: F32, place: I64, rank: I64, width: int) -> tuple[I64,
     for offset in (1, width):
         other = to[place + offset]
         cut = np.flatnonzero((other >= 0) & (up != up[other]))
-        edges.append(np.stack([np.minimum(rank[cut], rank[other[cut]]), up[cut], up[other[cut]]], 1))
+        edges.append(
+            np.stack([np.minimum(rank[cut], rank[other[cut]]), up[cut], up[other[cut]]], 1)
+        )
     tops = rank[summit]
     into, saddles = _contracted(tops, np.concatenate(edges))
     up = into[up]
@@ -91,13 +97,16 @@ def _find_peaks(thickness: F32, place: I64, rank: I64, width: int) -> tuple[I64,
     highest = np.zeros(len(peak), np.float32)
     np.maximum.at(highest, number[up[summit]], height[summit])
     saddles[:, 1:] = number[saddles[:, 1:]]
-    return number[up], Peaks(-np.sort(-tops[peak]), highest, saddles[np.argsort(-saddles[:, 0], kind="stable")])
+    return number[up], Peaks(
+        -np.sort(-tops[peak]), highest, saddles[np.argsort(-saddles[:, 0], kind="stable")]
+    )
 
 
 def _contracted(tops: I64, edges: I64) -> tuple[I64, I64]:
     """Peaks merged that are one at the level at which the lower of them appears.
 
-    Returns the peak that each becomes part of, and the highest saddle (rank, peak, peak) between each two left.
+    Returns the peak that each becomes part of, and the highest saddle (rank, peak, peak) between
+    each two left.
     """
     into, levels = np.arange(len(tops)), int(tops.max(initial=0)) + 1
     while len(edges):
@@ -134,7 +143,9 @@ def _followed(up: I64) -> I64:
 
 
 def _join(peaks: Peaks, levels: F64, ratio: float) -> I32:
-    """Label (N, levels + 1) of what belongs to each peak, by the number of levels below it; 0 in undecided necks."""
+    """Label (N, levels + 1) of what belongs to each peak, by the number of levels below it; 0 in
+    undecided necks.
+    """
     count = len(peaks.rank)
     table = np.repeat(np.arange(1, count + 1, dtype=np.int32)[:, None], len(levels) + 1, 1)
     part, members = np.arange(count), {peak: [peak] for peak in range(count)}
@@ -149,7 +160,9 @@ def _join(peaks: Peaks, levels: F64, ratio: float) -> I32:
         for one in changed:
             mine, whole = members[one], part == one
             thickest = max(mine, key=lambda peak: peaks.thickness[peak])
-            thick = [p for p in mine if p == thickest or peaks.thickness[p] * ratio > levels[rank - 1]]
+            thick = [
+                p for p in mine if p == thickest or peaks.thickness[p] * ratio > levels[rank - 1]
+            ]
             members[one] = thick
             if thin := [p + 1 for p in mine if p not in thick]:
                 table[np.isin(table, thin)] = thickest + 1

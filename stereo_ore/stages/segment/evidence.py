@@ -1,4 +1,6 @@
-"""Which pixels are ore: what stands out of the plane or lies between bars, drawn to the edges of the image."""
+"""Which pixels are ore: what stands out of the plane or lies between bars, drawn to the edges of
+the image.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,8 @@ from stereo_ore.threads import pool
 from stereo_ore.types import F32, U8, Grizzly, Mask
 
 LEAST, MOST = -1.0, 2.0
-"""Evidence beyond these is as good as certain; the limits keep a wrong match from outvoting its neighbours."""
+"""Evidence beyond these is as good as certain; the limits keep a wrong match from outvoting its
+neighbours."""
 BETWEEN_BARS = 1.2
 """Evidence of a surface at the height of the bar tops where there is no bar."""
 EDGE_VARIANCE = 50.0
@@ -46,9 +49,11 @@ def ore_evidence(px: F32, between: Mask, threshold: float) -> F32:
 
 
 def ore_mask(probability: F32, grey: U8, config: SegmentConfig, area: float) -> Mask:
-    """Pixels of ore where the image agrees on the outline, without connected parts of fewer pixels than `area`.
+    """Pixels of ore where the image agrees on the outline, without connected parts of fewer pixels
+    than `area`.
 
-    The probability spreads over even areas of the grey image and stops at its edges (He et al. 2013, guided filter).
+    The probability spreads over even areas of the grey image and stops at its edges (He et al.
+    2013, guided filter).
     """
     likely = _smoothed(probability, grey, config.guide_radius_px) > config.ore_probability
     opened = cv2.morphologyEx(likely.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))

@@ -1,4 +1,6 @@
-"""What is measured on the parts that ore was cut into: on pairs of neighbours, and on each part alone."""
+"""What is measured on the parts that ore was cut into: on pairs of neighbours, and on each part
+alone.
+"""
 
 from __future__ import annotations
 
@@ -23,11 +25,12 @@ GOLDEN = 0.61803398875
 class Scene:
     """What parts are measured against, all (h, w) but the scalars.
 
-    `relief` is smoothed, 0 outside the ore [px]; `raw` as measured, NaN where not. `valleys` (3, h, w) are valley
-    depths [px] at three reaches, `edge` the strength of image edges over its mean on ore, `step` the slope of the
-    relief [sigma/px], `colour` (h, w, 3) CIE Lab; `likely` is the probability of ore, `on_bar` where a point lies over
-    a bar, `inside` how far from the screen's sides [openings, at most 1]. `opening_px` is the opening, `threshold_px`
-    the relief that stands out.
+    `relief` is smoothed, 0 outside the ore [px]; `raw` as measured, NaN where not. `valleys` (3, h,
+    w) are valley depths [px] at three reaches, `edge` the strength of image edges over its mean on
+    ore, `step` the slope of the relief [sigma/px], `colour` (h, w, 3) CIE Lab; `likely` is the
+    probability of ore, `on_bar` where a point lies over a bar, `inside` how far from the screen's
+    sides [openings, at most 1]. `opening_px` is the opening, `threshold_px` the relief that stands
+    out.
     """
 
     relief: F32
@@ -61,10 +64,11 @@ def gradient(image: U8 | F32) -> F32:
 class Parts:
     """Parts 1…n of the ore, with what adds up when parts are joined.
 
-    `first` (h, w) are the labels they began with and `name` (n + 1,) what each of these is called now. Of each label:
-    `sums` (n + 1, 6) of the number of pixels, relief, edge and colour, `pixels` (ascending flat indices) and `hull`
-    (N, 2), its corner pixels. Of neighbours: `pairs` (K, 2), smaller label first, and `borders` (K, 5), the length of
-    their border and the sums of `_border_maps` over it.
+    `first` (h, w) are the labels they began with and `name` (n + 1,) what each of these is called
+    now. Of each label: `sums` (n + 1, 6) of the number of pixels, relief, edge and colour, `pixels`
+    (ascending flat indices) and `hull` (N, 2), its corner pixels. Of neighbours: `pairs` (K, 2),
+    smaller label first, and `borders` (K, 5), the length of their border and the sums of
+    `_border_maps` over it.
     """
 
     first: I32
@@ -81,14 +85,24 @@ def measure(scene: Scene, labels: I32) -> Parts:
     inside = np.flatnonzero(labels > 0)
     mine = labels.ravel()[inside].astype(np.intp)
     count = int(labels.max(initial=0)) + 1
-    maps = scene.relief.ravel()[inside], scene.edge.ravel()[inside], *scene.colour.reshape(-1, 3)[inside].T
+    maps = (
+        scene.relief.ravel()[inside],
+        scene.edge.ravel()[inside],
+        *scene.colour.reshape(-1, 3)[inside].T,
+    )
     sums = np.stack([np.bincount(mine, m, count) for m in (np.ones(len(mine)), *maps)], 1)
     order = inside[np.argsort(mine.astype(np.uint16), kind="stable")]
     pixels = np.split(order, np.cumsum(sums[:-1, 0]).astype(np.intp).tolist())
     hulls = tuple(_hull(outline) for outline in _outlines(labels))
     pairs, borders = _gathered(*_touching(scene, labels), count)
     return Parts(
-        labels, np.arange(count, dtype=np.int32), np.asarray(sums, np.float64), tuple(pixels), hulls, pairs, borders
+        labels,
+        np.arange(count, dtype=np.int32),
+        np.asarray(sums, np.float64),
+        tuple(pixels),
+        hulls,
+        pairs,
+        borders,
     )
 
 
@@ -121,18 +135,26 @@ def pair_features(scene: Scene, parts: Parts) -> F64:
     on_border = parts.borders[:, 1:] / length[:, None]
     small, large = np.minimum(area[a], area[b]), np.maximum(area[a], area[b])
     hull = np.array([_area(corners) for corners in parts.hulls])
-    union = np.array([_area(_hull(np.concatenate([parts.hulls[i], parts.hulls[j]]))) for i, j in parts.pairs.tolist()])
+    union = np.array(
+        [
+            _area(_hull(np.concatenate([parts.hulls[i], parts.hulls[j]])))
+            for i, j in parts.pairs.tolist()
+        ]
+    )
     skewed = np.column_stack(
         [
             on_border,
             on_border[:, 3] / np.maximum(np.minimum(edge[a], edge[b]), 0.2),
             length / np.sqrt(small),
             np.sqrt(((colour[a] - colour[b]) ** 2).sum(1)) / 10,
-            np.abs(relief[a] - relief[b]) / np.maximum(np.maximum(relief[a], relief[b]), scene.sigma_px),
+            np.abs(relief[a] - relief[b])
+            / np.maximum(np.maximum(relief[a], relief[b]), scene.sigma_px),
             _chord_features(scene, parts),
         ]
     )
-    solidity = (area[a] + area[b]) * (1 / np.maximum(union, 1) - 1 / np.maximum(hull[a] + hull[b], 1))
+    solidity = (area[a] + area[b]) * (
+        1 / np.maximum(union, 1) - 1 / np.maximum(hull[a] + hull[b], 1)
+    )
     plain = np.column_stack([np.log(large / small), np.sqrt(small) / scene.opening_px, solidity])
     return np.column_stack([np.log1p(np.maximum(skewed, 0)), plain])
 
@@ -143,7 +165,9 @@ def part_features(scene: Scene, labels: I32) -> F64:
     inside = np.flatnonzero(labels > 0)
     mine = labels.ravel()[inside].astype(np.intp)
     area = np.maximum(np.bincount(mine, minlength=count), 1)
-    rim = np.flatnonzero((cv2.erode((labels > 0).astype(np.uint8), np.ones((3, 3), np.uint8)) == 0) & (labels > 0))
+    rim = np.flatnonzero(
+        (cv2.erode((labels > 0).astype(np.uint8), np.ones((3, 3), np.uint8)) == 0) & (labels > 0)
+    )
     on_rim = labels.ravel()[rim].astype(np.intp)
     rim_length = np.maximum(np.bincount(on_rim, minlength=count), 1)
     raw = scene.raw.ravel()[inside]
@@ -178,7 +202,8 @@ def _sums(labels: npt.NDArray[np.intp], values: F32, at: I64, count: int) -> F64
 
 
 def _touching(scene: Scene, labels: I32) -> tuple[I64, F64]:
-    """Labels (M, 2), smaller first, on the two sides of each step between parts, and (M, 5) ones and border maps.
+    """Labels (M, 2), smaller first, on the two sides of each step between parts, and (M, 5) ones
+    and border maps.
 
     Of the two pixels beside the step the larger value of a map counts.
     """
@@ -188,21 +213,33 @@ def _touching(scene: Scene, labels: I32) -> tuple[I64, F64]:
         row, column = np.nonzero((a != b) & (np.minimum(a, b) > 0))
         ends = np.stack([a[row, column], b[row, column]], 1)
         pairs.append(np.sort(ends, axis=1).astype(np.int64))
-        here, there = (_border_maps(scene, row + i, column + j) for i, j in ((0, 0), (rows, columns)))
+        here, there = (
+            _border_maps(scene, row + i, column + j) for i, j in ((0, 0), (rows, columns))
+        )
         maps.append(np.maximum(here, there))
     return np.concatenate(pairs), np.concatenate(maps)
 
 
 def _border_maps(scene: Scene, row: I64, column: I64) -> F64:
-    """One, valleys at two reaches [sigma], the finer over its tolerance, and edges at M pixels: (M, 5)."""
+    """One, valleys at two reaches [sigma], the finer over its tolerance, and edges at M pixels: (M,
+    5).
+    """
     middle, fine = scene.valleys[1][row, column], scene.valleys[2][row, column]
     tolerance = 2 * scene.sigma_px + 0.05 * scene.relief[row, column]
-    maps = np.ones_like(fine), middle / scene.sigma_px, fine / scene.sigma_px, fine / tolerance, scene.edge[row, column]
+    maps = (
+        np.ones_like(fine),
+        middle / scene.sigma_px,
+        fine / scene.sigma_px,
+        fine / tolerance,
+        scene.edge[row, column],
+    )
     return np.stack(maps, 1).astype(np.float64)
 
 
 def _gathered(pairs: I64, values: F64, count: int) -> tuple[I64, F64]:
-    """Different ones of the pairs (M, 2) of labels below `count`, and the sums of the values (M, F) over each."""
+    """Different ones of the pairs (M, 2) of labels below `count`, and the sums of the values (M, F)
+    over each.
+    """
     key, inverse = np.unique(pairs[:, 0] * count + pairs[:, 1], return_inverse=True)
     sums = np.stack([np.bincount(inverse, column, len(key)) for column in values.T], 1)
     return np.stack(np.divmod(key, count), 1), np.asarray(sums, np.float64)
@@ -225,7 +262,9 @@ def _outlines(labels: I32) -> list[I32]:
 
 def _hull(points: I32) -> I32:
     """Corners (K, 2) of the convex hull of points (N, 2)."""
-    return np.asarray(cv2.convexHull(points), np.int32).reshape(-1, 2) if len(points) > 2 else points
+    return (
+        np.asarray(cv2.convexHull(points), np.int32).reshape(-1, 2) if len(points) > 2 else points
+    )
 
 
 def _area(corners: I32) -> float:
@@ -235,16 +274,21 @@ def _area(corners: I32) -> float:
 def _chord_features(scene: Scene, parts: Parts) -> F64:
     """Of each pair, how far chords between its parts pass in front of the surface, (K, 2).
 
-    The mean over all chords relative to the tolerance, and the median of each chord's largest [sigma]. A convex body
-    holds all its chords.
+    The mean over all chords relative to the tolerance, and the median of each chord's largest
+    [sigma]. A convex body holds all its chords.
     """
     step, width = np.arange(CHORDS) * GOLDEN, parts.first.shape[1]
 
     def ends(labels: I64, shift: float) -> tuple[I64, I64]:
         pixels = [parts.pixels[label] for label in labels.tolist()]
-        return np.divmod(np.stack([p[((step + shift) % 1 * len(p)).astype(np.intp)] for p in pixels]), width)
+        return np.divmod(
+            np.stack([p[((step + shift) % 1 * len(p)).astype(np.intp)] for p in pixels]), width
+        )
 
-    (row_a, column_a), (row_b, column_b) = ends(parts.pairs[:, 0], 0.0), ends(parts.pairs[:, 1], 0.37)
+    (row_a, column_a), (row_b, column_b) = (
+        ends(parts.pairs[:, 0], 0.0),
+        ends(parts.pairs[:, 1], 0.37),
+    )
     share = np.linspace(0.15, 0.85, STATIONS)
 
     def along(a: I64 | F32, b: I64 | F32) -> F64:
@@ -257,4 +301,6 @@ def _chord_features(scene: Scene, parts: Parts) -> F64:
     own = (met == parts.pairs[:, 0, None, None]) | (met == parts.pairs[:, 1, None, None])
     front = np.where(own, np.maximum(along(at_a, at_b) - scene.relief[row, column], 0), 0)
     tolerance = 2 * scene.sigma_px + 0.05 * np.maximum(at_a.mean(1), at_b.mean(1))
-    return np.column_stack([front.mean((1, 2)) / tolerance, np.median(front.max(2), axis=1) / scene.sigma_px])
+    return np.column_stack(
+        [front.mean((1, 2)) / tolerance, np.median(front.max(2), axis=1) / scene.sigma_px]
+    )

@@ -23,15 +23,21 @@ FLAT = 0.6
 
 @dataclass(frozen=True)
 class Side:
-    """The frame against one coordinate: `height` (n,) [m] at `low + i·cell`, NaN between the frame's two sides."""
+    """The frame against one coordinate: `height` (n,) [m] at `low + i·cell`, NaN between the
+    frame's two sides.
+    """
 
     low: float
     cell: float
     height: F64
 
     def at(self, coordinate: F32) -> F32:
-        """Height of the frame at these coordinates; NaN where there is none. Beyond the ends it is the outermost."""
-        index = np.clip((coordinate - self.low) / self.cell, 0, len(self.height) - 1).astype(np.intp)
+        """Height of the frame at these coordinates; NaN where there is none. Beyond the ends it is
+        the outermost.
+        """
+        index = np.clip((coordinate - self.low) / self.cell, 0, len(self.height) - 1).astype(
+            np.intp
+        )
         return np.asarray(self.height.astype(np.float32)[index], dtype=np.float32)
 
     @property
@@ -50,20 +56,27 @@ class Frame:
 
     def covers(self, c: F32, s: F32, height_m: F32, tolerance_m: F32) -> Mask:
         """True for points that lie as high as the frame there."""
-        near = [np.abs(height_m - side.at(x)) < tolerance_m for side, x in zip(self.sides, (c, s), strict=True)]
+        near = [
+            np.abs(height_m - side.at(x)) < tolerance_m
+            for side, x in zip(self.sides, (c, s), strict=True)
+        ]
         return np.asarray(near[0] | near[1], dtype=np.bool_)
 
     def inside(self, c: F32, s: F32) -> F32:
         """Distance [m] of points from the nearest side, negative outside."""
-        depth = [np.minimum(x - side.inner[0], side.inner[1] - x) for side, x in zip(self.sides, (c, s), strict=True)]
+        depth = [
+            np.minimum(x - side.inner[0], side.inner[1] - x)
+            for side, x in zip(self.sides, (c, s), strict=True)
+        ]
         return np.asarray(np.minimum(depth[0], depth[1]), dtype=np.float32)
 
 
 def find_frame(surface: Surface, relief: Relief, grizzly: Grizzly, bars: Bars) -> Frame:
     """The frame around the bars.
 
-    The screen is looked at in plan, along and across its bars. Coming from outside, rows of cells are closed (floor,
-    frame) up to the first row one sees through: what lies outside that row at the row's median height is frame.
+    The screen is looked at in plan, along and across its bars. Coming from outside, rows of cells
+    are closed (floor, frame) up to the first row one sees through: what lies outside that row at
+    the row's median height is frame.
     """
     step = max(1, round(np.sqrt(relief.px.size / PLAN_PIXELS)))
     depth = surface.xyz[::step, ::step, 2]
@@ -97,19 +110,25 @@ def find_frame(surface: Surface, relief: Relief, grizzly: Grizzly, bars: Bars) -
 
 
 def _span(cells: I64, count: int) -> I64:
-    """The cells between the outermost ones through which one sees; all when one sees through none."""
+    """The cells between the outermost ones through which one sees; all when one sees through
+    none.
+    """
     low, high = np.percentile(cells, (2, 98)).astype(int) if len(cells) else (0, count - 1)
     return np.arange(low, high + 1)
 
 
 def _cells(coordinate: F32, of_points: F32, cell: float) -> tuple[F32, float, int]:
-    """Cell index of each pixel, where the cells begin [m], and how many there are between the outermost points."""
+    """Cell index of each pixel, where the cells begin [m], and how many there are between the
+    outermost points.
+    """
     low, high = np.percentile(of_points, (0.5, 99.5))
     return np.floor((coordinate - low) / cell), float(low), max(int((high - low) / cell), 1)
 
 
 def _row_heights(closed: Mask, row: np.ndarray, heights: F32, reach: int, cell: float) -> F64:
-    """Median height of the flat rows outside the first row that is open, from both ends; NaN elsewhere."""
+    """Median height of the flat rows outside the first row that is open, from both ends; NaN
+    elsewhere.
+    """
     out = np.full(len(closed), np.nan)
     for order in (np.arange(len(closed)), np.arange(len(closed))[::-1]):
         start = np.flatnonzero(closed[order][: reach + 1])

@@ -14,7 +14,8 @@ ROUNDS = 12
 def merge_parts(scene: Scene, labels: I32, limit: float, model: Logistic) -> I32:
     """Join neighbouring parts whose probability of being one lump exceeds the limit.
 
-    In each round those pairs are joined that are the best of both partners, and the features are measured again.
+    In each round those pairs are joined that are the best of both partners, and the features are
+    measured again.
     """
     if labels.max(initial=0) < 2:
         return labels
@@ -35,7 +36,9 @@ def merge_parts(scene: Scene, labels: I32, limit: float, model: Logistic) -> I32
 
 
 def lump_probability(scene: Scene, labels: I32, model: Logistic) -> F64:
-    """Probability (n + 1,) that each part 0…n is a lump and not a wrong match, rubble or steel; 0 for label 0."""
+    """Probability (n + 1,) that each part 0…n is a lump and not a wrong match, rubble or steel; 0
+    for label 0.
+    """
     out = model.probability(part_features(scene, labels))
     out[0] = 0.0
     return out

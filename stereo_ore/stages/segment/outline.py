@@ -12,7 +12,8 @@ from stereo_ore.types import F32, I32, U8, Mask
 def grow(cores: I32, mask: Mask, grey: U8, relief: F32, relief_scale: float, band: int) -> I32:
     """Labels of the whole ore, flooded from the cores over the uncertain band up to edges.
 
-    Watershed on grey level and relief together; the sure background is what is `band` pixels away from the mask.
+    Watershed on grey level and relief together; the sure background is what is `band` pixels away
+    from the mask.
 
     Parameters
     ----------
@@ -43,7 +44,9 @@ def grow(cores: I32, mask: Mask, grey: U8, relief: F32, relief_scale: float, ban
 
 
 def filled(labels: I32) -> I32:
-    """Each label as its largest connected part with the holes inside its outline filled, if nothing else lies there."""
+    """Each label as its largest connected part with the holes inside its outline filled, if nothing
+    else lies there.
+    """
     out = np.zeros_like(labels)
     for label, box in enumerate(ndimage.find_objects(labels), start=1):
         if box is None:
@@ -58,7 +61,9 @@ def filled(labels: I32) -> I32:
 
 
 def renumbered(labels: I32, keep: Mask) -> I32:
-    """Kept labels as 1…n from the top of the image down, then from the left; `keep` is indexed by label."""
+    """Kept labels as 1…n from the top of the image down, then from the left; `keep` is indexed by
+    label.
+    """
     boxes = ndimage.find_objects(labels, max_label=max(len(keep) - 1, 0))
     kept = [i for i in np.flatnonzero(keep) if i and boxes[i - 1] is not None]
     kept.sort(key=lambda i: tuple(side.start for side in boxes[i - 1]))

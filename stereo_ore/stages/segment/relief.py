@@ -1,8 +1,8 @@
 """The relief: how far each pixel stands out of the screen's plane, in pixels of disparity.
 
-In disparity space a plane is a linear function of the pixel and a convex body a concave one (a chord of the body lies
-behind its surface, and disparity is linear along the image of a line), while noise is the same everywhere. So touching
-lumps are told apart there, not in metres.
+In disparity space a plane is a linear function of the pixel and a convex body a concave one (a
+chord of the body lies behind its surface, and disparity is linear along the image of a line), while
+noise is the same everywhere. So touching lumps are told apart there, not in metres.
 """
 
 from __future__ import annotations
@@ -19,16 +19,18 @@ I64 = npt.NDArray[np.int64]
 SAMPLED = 60_000
 """Pixels that the middle depth and the noise are taken from."""
 OCCLUSION_SLACK, OCCLUSION_EXTRA = 1.3, 2
-"""A half occlusion is as wide as the step in disparity beside it; a matcher makes it a little wider [factor, px]."""
+"""A half occlusion is as wide as the step in disparity beside it; a matcher makes it a little wider
+[factor, px]."""
 
 
 @dataclass(frozen=True)
 class Relief:
     """Heights over the screen in the image crop.
 
-    `px` (h, w) float32 is the disparity minus the plane's [px], NaN where none. `sigma_px` is the standard deviation of
-    a disparity, `pixel_m` the size of a pixel at the scene's middle depth, `px_per_m` what a metre of height makes in
-    disparity there, `per_depth` the height over the depth that a pixel of disparity makes anywhere.
+    `px` (h, w) float32 is the disparity minus the plane's [px], NaN where none. `sigma_px` is the
+    standard deviation of a disparity, `pixel_m` the size of a pixel at the scene's middle depth,
+    `px_per_m` what a metre of height makes in disparity there, `per_depth` the height over the
+    depth that a pixel of disparity makes anywhere.
     """
 
     px: F32
@@ -40,7 +42,8 @@ class Relief:
     def height_m(self, px: F32, depth_m: F32) -> F32:
         """Distance [m] from the plane of points of this relief and depth.
 
-        n·p − offset, with p on a ray whose plane depth is known: −offset · (disparity over the plane) / disparity.
+        n·p − offset, with p on a ray whose plane depth is known: −offset · (disparity over the
+        plane) / disparity.
         """
         return px * depth_m * np.float32(self.per_depth)
 
@@ -66,7 +69,8 @@ def measure_relief(surface: Surface, grizzly: Grizzly) -> Relief:
 def bar_coordinates(
     surface: Surface, bars: Bars, depth_m: F32, step: int = 1, at: I64 | None = None
 ) -> tuple[F32, F32]:
-    """Coordinates across and along the bars [m] of points at these depths on every `step`-th pixel's ray.
+    """Coordinates across and along the bars [m] of points at these depths on every `step`-th
+    pixel's ray.
 
     `depth_m` is (h, w), or (N,) at the flat indices `at`.
     """
@@ -79,18 +83,22 @@ def bar_coordinates(
 
 
 def bar_clearance(across: F32, bars: Bars) -> F32:
-    """Distance [m] from the nearest bar's edge, negative over a bar, of coordinates across the bars [m]."""
+    """Distance [m] from the nearest bar's edge, negative over a bar, of coordinates across the bars
+    [m].
+    """
     pitch = np.float32(bars.pitch_m)
     return np.asarray(
-        np.abs(across - pitch * np.round(across / pitch)) - np.float32(bars.width_m / 2), dtype=np.float32
+        np.abs(across - pitch * np.round(across / pitch)) - np.float32(bars.width_m / 2),
+        dtype=np.float32,
     )
 
 
 def fill_occlusions(px: F32) -> F32:
-    """The relief with half occlusions filled from the farther side, which is what an occluded pixel shows.
+    """The relief with half occlusions filled from the farther side, which is what an occluded pixel
+    shows.
 
-    A row's gap is filled when it is no wider than the step in disparity to its right can have hidden from the right
-    eye.
+    A row's gap is filled when it is no wider than the step in disparity to its right can have
+    hidden from the right eye.
     """
     width = px.shape[1]
     valid = np.isfinite(px).ravel()

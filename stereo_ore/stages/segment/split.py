@@ -1,4 +1,6 @@
-"""Where the ore mask is cut: the smoothed relief, its valleys and steps, and creases that are long enough."""
+"""Where the ore mask is cut: the smoothed relief, its valleys and steps, and creases that are long
+enough.
+"""
 
 from __future__ import annotations
 
@@ -34,8 +36,8 @@ def smooth_relief(relief: F32, mask: Mask, sigma: float) -> F32:
 def valley_depth(relief: F32, reach: int) -> F32:
     """How far [px] each pixel lies behind the deepest-lying chord of length 2·reach centred on it.
 
-    Inside one convex body no chord passes in front of the surface, so this is not positive; it is at a crease between
-    bodies and at the foot of a step. Four directions are tried.
+    Inside one convex body no chord passes in front of the surface, so this is not positive; it is
+    at a crease between bodies and at the foot of a step. Four directions are tried.
     """
     h, w = relief.shape
     padded = cv2.copyMakeBorder(relief, reach, reach, reach, reach, cv2.BORDER_REPLICATE)

@@ -13,7 +13,13 @@ from stereo_ore.stages.segment.evidence import bar_margin, ore_evidence, ore_mas
 from stereo_ore.stages.segment.features import edges
 from stereo_ore.stages.segment.frame import find_frame
 from stereo_ore.stages.segment.pixels import Sight, ore_probability
-from stereo_ore.stages.segment.relief import Relief, bar_clearance, bar_coordinates, fill_occlusions, measure_relief
+from stereo_ore.stages.segment.relief import (
+    Relief,
+    bar_clearance,
+    bar_coordinates,
+    fill_occlusions,
+    measure_relief,
+)
 from stereo_ore.types import F32, U8, Grizzly, Mask, Surface
 
 NOT_BELOW = 0.2
@@ -24,9 +30,9 @@ NOT_BELOW = 0.2
 class View:
     """The crop around the ore: what segmentation looks at, all (h, w).
 
-    Relief with its gaps filled and as measured [px], grey and colour image, probability of ore, ore, where a point lies
-    over a bar, and the distance from the screen's sides [openings, at most 1], the strength of image edges, and the
-    crop's border.
+    Relief with its gaps filled and as measured [px], grey and colour image, probability of ore,
+    ore, where a point lies over a bar, and the distance from the screen's sides [openings, at most
+    1], the strength of image edges, and the crop's border.
     """
 
     filled: F32
@@ -56,8 +62,16 @@ class Measured:
     opening_px: float
 
 
-def look(surface: Surface, grizzly: Grizzly, config: SegmentConfig, network: Network, bounded: bool = True) -> View:
-    """What segmentation looks at, of the whole crop; `bounded` when a working volume has cropped it."""
+def look(
+    surface: Surface,
+    grizzly: Grizzly,
+    config: SegmentConfig,
+    network: Network,
+    bounded: bool = True,
+) -> View:
+    """What segmentation looks at, of the whole crop; `bounded` when a working volume has cropped
+    it.
+    """
     found = measure_view(surface, grizzly, config, bounded)
     grey = found.sight.grey
     likely = ore_probability(found.sight, network)
@@ -65,13 +79,18 @@ def look(surface: Surface, grizzly: Grizzly, config: SegmentConfig, network: Net
     border = np.ones(mask.shape, np.bool_)
     border[1:-1, 1:-1] = False
     return View(
-        found.filled, found.raw, grey, surface.bgr, likely, mask, found.sight.on_bar, found.sight.inside,
+        found.filled, found.raw, grey, surface.bgr, likely, mask, found.sight.on_bar,
+        found.sight.inside,
         edges(grey, mask), border, found.relief, found.threshold_px, found.opening_px,
     )  # fmt: skip
 
 
-def measure_view(surface: Surface, grizzly: Grizzly, config: SegmentConfig, bounded: bool) -> Measured:
-    """Relief and evidence of the whole crop; beside a screen that is not `bounded` nothing is evident."""
+def measure_view(
+    surface: Surface, grizzly: Grizzly, config: SegmentConfig, bounded: bool
+) -> Measured:
+    """Relief and evidence of the whole crop; beside a screen that is not `bounded` nothing is
+    evident.
+    """
     relief = measure_relief(surface, grizzly)
     threshold = threshold_px(relief, grizzly.opening_m, config)
     opening = grizzly.opening_m or config.default_opening_m
@@ -93,8 +112,8 @@ def _place(
     Returns
     -------
     tuple
-        Relief with the frame set to 0, points over a bar, points well between bars, and how far points are from the
-        screen's sides [openings, −1…1], all (h, w).
+        Relief with the frame set to 0, points over a bar, points well between bars, and how far
+        points are from the screen's sides [openings, −1…1], all (h, w).
     """
     raw = relief.px.copy()
     on_bar, between = np.zeros(raw.shape, np.bool_), np.zeros(raw.shape, np.bool_)
@@ -116,24 +135,33 @@ def _place(
 
 
 def shrunk(view: View, factor: int) -> View:
-    """The view at 1/factor of its size: what parts lumps needs no more pixels than that, and noise averages out."""
+    """The view at 1/factor of its size: what parts lumps needs no more pixels than that, and noise
+    averages out.
+    """
     if factor == 1:
         return view
     height, width = view.mask.shape
     size = max(width // factor, 1), max(height // factor, 1)
 
     def mean(image: F32 | U8 | Mask) -> F32:
-        return np.asarray(cv2.resize(image.astype(np.float32), size, interpolation=cv2.INTER_AREA), dtype=np.float32)
+        return np.asarray(
+            cv2.resize(image.astype(np.float32), size, interpolation=cv2.INTER_AREA),
+            dtype=np.float32,
+        )
 
     def of_measured(values: F32) -> F32:
         valid = mean(np.isfinite(values))
         with np.errstate(invalid="ignore", divide="ignore"):
-            return np.where(valid > 0.5, mean(np.nan_to_num(values, nan=0.0)) / valid, np.nan).astype(np.float32)
+            return np.where(
+                valid > 0.5, mean(np.nan_to_num(values, nan=0.0)) / valid, np.nan
+            ).astype(np.float32)
 
     return replace(
-        view, filled=of_measured(view.filled), raw=of_measured(view.raw), grey=mean(view.grey).astype(np.uint8),
+        view, filled=of_measured(view.filled), raw=of_measured(view.raw),
+        grey=mean(view.grey).astype(np.uint8),
         bgr=mean(view.bgr).astype(np.uint8), likely=mean(view.likely), mask=mean(view.mask) > 0.5,
-        on_bar=mean(view.on_bar) > 0.5, inside=mean(view.inside), edge=mean(view.edge), border=mean(view.border) > 0,
+        on_bar=mean(view.on_bar) > 0.5, inside=mean(view.inside), edge=mean(view.edge),
+        border=mean(view.border) > 0,
         opening_px=view.opening_px / factor,
         relief=replace(view.relief, pixel_m=view.relief.pixel_m * factor),
     )  # fmt: skip

@@ -1,4 +1,6 @@
-"""The solid a lump is: its visible surface closed by a stated model of the sides that no camera saw."""
+"""The solid a lump is: its visible surface closed by a stated model of the sides that no camera
+saw.
+"""
 
 from __future__ import annotations
 
@@ -16,18 +18,21 @@ __all__ = ["METHOD", "Cues", "Sight", "looks", "solids"]
 
 METHOD = "grounded hull corrected by a shape prior"
 FARTHEST, LARGEST = 1.5, 2.5
-"""Bounds of the correction: shift of the centre over the lump's size, logarithm of the volume's ratio."""
+"""Bounds of the correction: shift of the centre over the lump's size, logarithm of the volume's
+ratio."""
 CUT_FACTOR = 2.0
 """How much less sure all is of a lump that the image's border cuts."""
 
 
-def solids(surface: Surface, ore_map: OreMap, grizzly: Grizzly, config: SolidConfig) -> tuple[Solid | None, ...]:
+def solids(
+    surface: Surface, ore_map: OreMap, grizzly: Grizzly, config: SolidConfig
+) -> tuple[Solid | None, ...]:
     """Close every lump to a body.
 
-    The visible surface is closed by a shrunken footprint on the screen (the grounded hull). How far that is from the
-    truth depends on what the camera saw: the outline, what carries or hides the lump, the bars under it, the view. A
-    linear model of such cues, fitted to scenes with known truth, gives centre of gravity, volume and dimensions with
-    their uncertainties.
+    The visible surface is closed by a shrunken footprint on the screen (the grounded hull). How far
+    that is from the truth depends on what the camera saw: the outline, what carries or hides the
+    lump, the bars under it, the view. A linear model of such cues, fitted to scenes with known
+    truth, gives centre of gravity, volume and dimensions with their uncertainties.
 
     Parameters
     ----------
@@ -58,16 +63,24 @@ def looks(
     count = int(ore_map.labels.max(initial=0))
     found: list[tuple[Sight, Cues] | None] = []
     for number, box in enumerate(find_objects(labels, max_label=count) if count else [], 1):
-        sight = look(surface, labels, box, number, grizzly.plane, config.min_points) if box else None
+        sight = (
+            look(surface, labels, box, number, grizzly.plane, config.min_points) if box else None
+        )
         cues = gather(sight, grizzly.bars, grizzly.opening_m) if sight else None
         found.append((sight, cues) if sight and cues else None)
     return tuple(found)
 
 
-def _solid(sight: Sight, cues: Cues, opening_m: float | None, cut: bool, config: SolidConfig) -> Solid:
+def _solid(
+    sight: Sight, cues: Cues, opening_m: float | None, cut: bool, config: SolidConfig
+) -> Solid:
     estimate, s = load().estimate(cues.even, cues.odd, cues.doubts), sight.size
     base = cues.body
-    shift = np.array([estimate.mean[axis] for axis in "xyz"]) * s + [0.0, 0.0, cues.support] - base.centroid
+    shift = (
+        np.array([estimate.mean[axis] for axis in "xyz"]) * s
+        + [0.0, 0.0, cues.support]
+        - base.centroid
+    )
     shift *= min(1.0, FARTHEST * s / max(float(np.linalg.norm(shift)), 1e-12))
     ratio = np.clip(estimate.mean["volume"] - np.log(base.volume / s**3), -LARGEST, LARGEST)
     volume = float(np.exp(ratio) * base.volume)
@@ -88,19 +101,25 @@ def _solid(sight: Sight, cues: Cues, opening_m: float | None, cut: bool, config:
         method=METHOD,
         vertices=sight.to_camera(vertices).astype(np.float32),
         oversize=_oversize(float(size[1]), opening_m, cut, config),
-        reasons=(Reason("CUT_BY_IMAGE", "the image's border cuts the lump; it may be larger"),) if cut else (),
+        reasons=(Reason("CUT_BY_IMAGE", "the image's border cuts the lump; it may be larger"),)
+        if cut
+        else (),
     )
 
 
 def _sigma(sight: Sight, estimate: Estimate, factor: float, config: SolidConfig) -> F64:
-    """Standard deviation (3,) [m] along the camera's axes: the model's error, and a bias common to all disparities."""
+    """Standard deviation (3,) [m] along the camera's axes: the model's error, and a bias common to
+    all disparities.
+    """
     model = np.array([estimate.sigma[axis] for axis in "xyz"]) * sight.size * factor
     bias = sight.sigma_z * config.bias_share * sight.view
     variance = (model**2) @ sight.axes**2 + (bias @ sight.axes) ** 2
     return np.asarray(np.sqrt(variance))
 
 
-def _oversize(middle_m: float, opening_m: float | None, cut: bool, config: SolidConfig) -> bool | None:
+def _oversize(
+    middle_m: float, opening_m: float | None, cut: bool, config: SolidConfig
+) -> bool | None:
     """Whether the middle dimension exceeds the opening; None when unknown or within the margin."""
     if opening_m is None:
         return None

@@ -1,4 +1,6 @@
-"""Scale-free cues to a lump's hidden side: all lengths over the square root of its silhouette's area."""
+"""Scale-free cues to a lump's hidden side: all lengths over the square root of its silhouette's
+area.
+"""
 
 from __future__ import annotations
 
@@ -7,24 +9,34 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from stereo_ore.stages.solid.measure import Body, Box, convex_body, extremes, longest_calliper, smallest_box
+from stereo_ore.stages.solid.measure import (
+    Body,
+    Box,
+    convex_body,
+    extremes,
+    longest_calliper,
+    smallest_box,
+)
 from stereo_ore.stages.solid.sight import NEAR, STEP, Sight
 from stereo_ore.types import F64, Bars
 
 FOOTPRINT = 0.6
 """Shrinking of the visible outline, seen from above, to what the lump stands on."""
 LONGEST_SHADOW, LEAST_SLOPE = 1.5, 0.3
-"""How deep a body may be behind its surface, as share of its size, and the least slope of a line of sight."""
+"""How deep a body may be behind its surface, as share of its size, and the least slope of a line of
+sight."""
 DIMENSIONS = ("longest", "middle", "shortest")
 
 
 @dataclass(frozen=True)
 class Cues:
-    """Named cues: `even` ones do not change when the lump is mirrored sideways, `odd` ones change sign.
+    """Named cues: `even` ones do not change when the lump is mirrored sideways, `odd` ones change
+    sign.
 
-    `doubts` tell how far an estimate may be off. `support` [m] is the height that seems to carry the lump; heights
-    among the cues, and the estimate's, are over it. `body` is the hull of the visible surface and a shrunken footprint
-    on the screen, the closed form that the cues correct, `box` its box; lump frame, metres.
+    `doubts` tell how far an estimate may be off. `support` [m] is the height that seems to carry
+    the lump; heights among the cues, and the estimate's, are over it. `body` is the hull of the
+    visible surface and a shrunken footprint on the screen, the closed form that the cues correct,
+    `box` its box; lump frame, metres.
     """
 
     even: dict[str, float]
@@ -52,7 +64,11 @@ def gather(sight: Sight, bars: Bars | None, opening_m: float | None) -> Cues | N
     found = {name: body for name, body in bodies.items() if body is not None}
     if len(found) < len(bodies):
         return None
-    even: dict[str, float] = {"top": (top - support) / s, "low": (low - support) / s, "support": support / s}
+    even: dict[str, float] = {
+        "top": (top - support) / s,
+        "low": (low - support) / s,
+        "support": support / s,
+    }
     places = {name: body.centroid for name, body in found.items()}
     places |= {"outline": sight.outline.mean(0), "silhouette": sight.silhouette}
     for name, place in places.items():
@@ -61,13 +77,23 @@ def gather(sight: Sight, bars: Bars | None, opening_m: float | None) -> Cues | N
     grounded = found["grounded"]
     box = smallest_box(grounded)
     dims = (longest_calliper(grounded.vertices), *box.extent[1:])
-    even |= {f"grounded_{key}": float(np.log(d / s)) for key, d in zip(DIMENSIONS, dims, strict=True)}
+    even |= {
+        f"grounded_{key}": float(np.log(d / s)) for key, d in zip(DIMENSIONS, dims, strict=True)
+    }
     even |= {f"{name}_volume": float(np.log(body.volume / s**3)) for name, body in found.items()}
     facing = sight.normals.mean(0)
     even |= {"tilt": sight.tilt, "solidity": sight.solidity, "normal_x": float(facing[0])}
-    even |= _view_cues(sight, points) | _ring_cues(sight, top, support) | _bar_cues(sight, outline, bars, opening_m)
-    odd = {name: float(place[1] / s) for name, place in places.items()} | {"normal": float(facing[1])}
-    doubts = {name: even[name] for name in ("tilt", "hidden", "others")} | {"depth_noise": sight.sigma_z / s}
+    even |= (
+        _view_cues(sight, points)
+        | _ring_cues(sight, top, support)
+        | _bar_cues(sight, outline, bars, opening_m)
+    )
+    odd = {name: float(place[1] / s) for name, place in places.items()} | {
+        "normal": float(facing[1])
+    }
+    doubts = {name: even[name] for name in ("tilt", "hidden", "others")} | {
+        "depth_noise": sight.sigma_z / s
+    }
     return Cues(even, odd, doubts, support, grounded, box)
 
 
@@ -78,13 +104,17 @@ def _footprint(outline: F64, height: float) -> F64:
 
 
 def _shadow(sight: Sight, points: F64, support: float) -> F64:
-    """Points (N, 3) moved on along the line of sight to what carries the lump: the most that they can hide."""
+    """Points (N, 3) moved on along the line of sight to what carries the lump: the most that they
+    can hide.
+    """
     way = (points[:, 2] - support) / max(-float(sight.view[2]), LEAST_SLOPE)
     return points + np.clip(way, 0.0, LONGEST_SHADOW * sight.size)[:, None] * sight.view
 
 
 def _support(sight: Sight, low: float) -> float:
-    """Height that the surroundings suggest for what carries the lump, between the screen and its lowest point."""
+    """Height that the surroundings suggest for what carries the lump, between the screen and its
+    lowest point.
+    """
     ring = sight.ring
     near = (ring.gap < NEAR * sight.size) & (ring.step >= -STEP * sight.size)
     return _percentiles(np.clip(ring.outside[near], 0.0, max(low, 0.0)), 75)[0]
@@ -104,7 +134,8 @@ def _view_cues(sight: Sight, points: F64) -> dict[str, float]:
         "extent_x": extent[0], "extent_y": extent[1], "extent_z": extent[2],
         "outline_far": _mean(along[far]), "outline_near": _mean(along[near]),
         "outline_side": _mean(along[~far & ~near]),
-        "front": float((points @ view).min() - sight.outline.mean(0) @ view) / s, "back": float(along.max()),
+        "front": float((points @ view).min() - sight.outline.mean(0) @ view) / s,
+        "back": float(along.max()),
         "facing": float(facing.mean()), "facing_spread": float(facing.std()),
         "frontal": float(-(sight.normals @ view).mean()),
     }  # fmt: skip
@@ -120,7 +151,8 @@ def _ring_cues(sight: Sight, top: float, support: float) -> dict[str, float]:
     share = carrying.sum() / n
     neighbour = (np.clip(ring.outside[carrying], 0.0, top) - support) / s
     found = {
-        "contact": (np.abs(ring.step) <= STEP * s).sum() / n, "hidden": hides.sum() / n, "near": near.sum() / n,
+        "contact": (np.abs(ring.step) <= STEP * s).sum() / n, "hidden": hides.sum() / n,
+        "near": near.sum() / n,
         "others": ring.other.sum() / n, "others_near": share,
         "neighbour": _percentiles(neighbour, 50)[0] * min(1.0, 5.0 * share),
     }  # fmt: skip
@@ -128,10 +160,21 @@ def _ring_cues(sight: Sight, top: float, support: float) -> dict[str, float]:
     return found | {"ring_25": low, "ring_50": middle, "ring_75": high, "ring_90": highest}
 
 
-def _bar_cues(sight: Sight, outline: F64, bars: Bars | None, opening_m: float | None) -> dict[str, float]:
-    """How the lump's width compares with the opening, and how it lies over bars and gaps; neutral when unknown."""
+def _bar_cues(
+    sight: Sight, outline: F64, bars: Bars | None, opening_m: float | None
+) -> dict[str, float]:
+    """How the lump's width compares with the opening, and how it lies over bars and gaps; neutral
+    when unknown.
+    """
     if opening_m is None:
-        return {"opening": 0.9, "across": 1.5, "along": 1.5, "on_bars": 0.2, "off_bar": 0.25, "turn": 0.4}
+        return {
+            "opening": 0.9,
+            "across": 1.5,
+            "along": 1.5,
+            "on_bars": 0.2,
+            "off_bar": 0.25,
+            "turn": 0.4,
+        }
     found = {"opening": min(opening_m / sight.size, 2.5)}
     if bars is None:
         width = float(np.ptp(outline, axis=0).mean()) / opening_m

@@ -11,9 +11,11 @@ from scipy.spatial import ConvexHull, QhullError
 from stereo_ore.types import F32, F64, I32
 
 IN_PLANE_TURNS = 12
-"""Turns of the box tried about each face normal: steps of 7.5°, whose loss in length is below 0.3 %."""
+"""Turns of the box tried about each face normal: steps of 7.5°, whose loss in length is below 0.3
+%."""
 BOX_FACES = 24
-"""Faces tried as a side of the box, the largest first: the small ones of a rounded lump are nearly parallel to them."""
+"""Faces tried as a side of the box, the largest first: the small ones of a rounded lump are nearly
+parallel to them."""
 DIRECTIONS = 80
 """Directions in which a cloud's extreme points are sought."""
 TRIMMED = 0.01
@@ -22,7 +24,9 @@ TRIMMED = 0.01
 
 @dataclass(frozen=True)
 class Body:
-    """A convex polyhedron: vertices (V, 3), triangles (T, 3) into them, volume [m³] and centroid (3,)."""
+    """A convex polyhedron: vertices (V, 3), triangles (T, 3) into them, volume [m³] and centroid
+    (3,).
+    """
 
     vertices: F64
     triangles: I32
@@ -32,7 +36,9 @@ class Body:
 
 @dataclass(frozen=True)
 class Box:
-    """Centre (3,), unit axes as rows (3, 3), right-handed, longest first, and lengths along them (3,) [m]."""
+    """Centre (3,), unit axes as rows (3, 3), right-handed, longest first, and lengths along them
+    (3,) [m].
+    """
 
     centre: F64
     axes: F64
@@ -40,7 +46,9 @@ class Box:
 
 
 def extremes(points: F64) -> F64:
-    """Points (M, 3) that span (N, 3) ones: in each of `DIRECTIONS` the farthest but a share of `TRIMMED`."""
+    """Points (M, 3) that span (N, 3) ones: in each of `DIRECTIONS` the farthest but a share of
+    `TRIMMED`.
+    """
     rank = len(points) - 1 - int(TRIMMED * len(points))
     columns, found = points.T.astype(np.float32), []
     # In parts: a larger product would wake a pool of threads, which takes longer than the product.
@@ -57,13 +65,16 @@ def _sphere() -> F32:
     i = np.arange(DIRECTIONS) + 0.5
     polar, azimuth = np.arccos(1 - 2 * i / DIRECTIONS), np.pi * (1 + np.sqrt(5)) * i
     around = np.sin(polar)
-    return np.stack([np.cos(azimuth) * around, np.sin(azimuth) * around, np.cos(polar)], 1).astype(np.float32)
+    return np.stack([np.cos(azimuth) * around, np.sin(azimuth) * around, np.cos(polar)], 1).astype(
+        np.float32
+    )
 
 
 def convex_body(points: F64) -> Body | None:
     """Convex hull of (N, 3) points with its volume and centroid, or None when they span no volume.
 
-    The centroid is the volume-weighted mean of the tetrahedra that an inner point makes with the faces.
+    The centroid is the volume-weighted mean of the tetrahedra that an inner point makes with the
+    faces.
     """
     if len(points) < 4:
         return None
@@ -93,7 +104,9 @@ def _cross(a: F64, b: F64) -> F64:
 def longest_calliper(vertices: F64) -> float:
     """Largest distance [m] between two of (V, 3) points."""
     square = (vertices**2).sum(1)
-    return float(np.sqrt(max((square[:, None] + square[None] - 2.0 * vertices @ vertices.T).max(), 0.0)))
+    return float(
+        np.sqrt(max((square[:, None] + square[None] - 2.0 * vertices @ vertices.T).max(), 0.0))
+    )
 
 
 def smallest_box(body: Body) -> Box:

@@ -1,4 +1,6 @@
-"""The linear models that turn cues into a solid; ``stereo-ore tune --train solids`` makes their coefficients."""
+"""The linear models that turn cues into a solid; ``stereo-ore tune --train solids`` makes their
+coefficients.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +16,9 @@ import numpy.typing as npt
 from stereo_ore.types import F64
 
 TARGETS = ("x", "z", "volume", "longest", "middle", "shortest")
-"""What is estimated from even cues: centre of gravity over size, z over the support, logarithms of volume over size³
-and of dimensions over size. The sideways coordinate y comes from odd cues alone, for a mirrored lump must give a
-mirrored answer."""
+"""What is estimated from even cues: centre of gravity over size, z over the support, logarithms of
+volume over size³ and of dimensions over size. The sideways coordinate y comes from odd cues alone,
+for a mirrored lump must give a mirrored answer."""
 DOUBTS = ("tilt", "hidden", "others", "depth_noise")
 """What the logarithm of an error's standard deviation is linear in."""
 REACH = 4.0
@@ -28,7 +30,9 @@ SHIPPED = Path(__file__).with_name("prior.json")
 
 @dataclass(frozen=True)
 class Estimate:
-    """Means and standard deviations by target (`TARGETS` and y), over the lump's size or as logarithms."""
+    """Means and standard deviations by target (`TARGETS` and y), over the lump's size or as
+    logarithms.
+    """
 
     mean: Mapping[str, float]
     sigma: Mapping[str, float]
@@ -38,7 +42,8 @@ class Estimate:
 class Linear:
     """Targets as `constant` (T,) + terms · `weights` (K + P, T).
 
-    The terms are the K cues less `mean`, over `scale`, held within ±`REACH`, and products of P `pairs` of those.
+    The terms are the K cues less `mean`, over `scale`, held within ±`REACH`, and products of P
+    `pairs` of those.
     """
 
     cues: tuple[str, ...]
@@ -63,23 +68,33 @@ class Linear:
     def _places(self) -> npt.NDArray[np.intp]:
         """Columns (2, P) of the pairs."""
         place = {name: k for k, name in enumerate(self.cues)}
-        return np.array([[place[name] for name in pair] for pair in self.pairs], np.intp).reshape(-1, 2).T
+        return (
+            np.array([[place[name] for name in pair] for pair in self.pairs], np.intp)
+            .reshape(-1, 2)
+            .T
+        )
 
 
 @dataclass(frozen=True)
 class Prior:
-    """Models of the `TARGETS` from even cues and of y from odd ones; weights (5,) of each sigma's logarithm."""
+    """Models of the `TARGETS` from even cues and of y from odd ones; weights (5,) of each sigma's
+    logarithm.
+    """
 
     even: Linear
     odd: Linear
     sigma: Mapping[str, F64]
 
-    def estimate(self, even: Mapping[str, float], odd: Mapping[str, float], doubts: Mapping[str, float]) -> Estimate:
+    def estimate(
+        self, even: Mapping[str, float], odd: Mapping[str, float], doubts: Mapping[str, float]
+    ) -> Estimate:
         """Apply the models to cues by name."""
         values = [*self.even(_row(even, self.even.cues)), *self.odd(_row(odd, self.odd.cues))]
         mean = dict(zip((*TARGETS, "y"), map(float, values), strict=True))
         doubt = np.array([1.0, *(min(doubts[name], 1.0) for name in DOUBTS)])
-        return Estimate(mean, {name: float(np.exp(row @ doubt)) for name, row in self.sigma.items()})
+        return Estimate(
+            mean, {name: float(np.exp(row @ doubt)) for name, row in self.sigma.items()}
+        )
 
     def to_json(self) -> str:
         """A line a cue, five decimals: readable, and more than the estimate needs."""
@@ -111,13 +126,20 @@ def _named(names: tuple[str, ...], row: F64) -> dict[str, float]:
 def load(file: Path = SHIPPED) -> Prior:
     """Read the coefficients that ship with the package, or others."""
     document = json.loads(file.read_text(encoding="utf-8"))
-    sigma = {name: np.array([row["constant"], *(row[d] for d in DOUBTS)]) for name, row in document["sigma"].items()}
+    sigma = {
+        name: np.array([row["constant"], *(row[d] for d in DOUBTS)])
+        for name, row in document["sigma"].items()
+    }
     return Prior(_linear(document["even"], TARGETS), _linear(document["odd"], ("y",)), sigma)
 
 
 def _linear(document: Mapping[str, Mapping[str, float]], targets: tuple[str, ...]) -> Linear:
-    constant, *weights = (np.array([row[target] for target in targets]) for row in document.values())
+    constant, *weights = (
+        np.array([row[target] for target in targets]) for row in document.values()
+    )
     cues = tuple(name for name, row in document.items() if "mean" in row)
-    pairs = tuple((one, other) for one, star, other in (name.partition("*") for name in document) if star)
+    pairs = tuple(
+        (one, other) for one, star, other in (name.partition("*") for name in document) if star
+    )
     mean, scale = (np.array([document[cue][key] for cue in cues]) for key in ("mean", "scale"))
     return Linear(cues, pairs, mean, scale, np.array(weights), constant)

@@ -23,11 +23,14 @@ SURFACE_PIXELS = 2000
 SURFACE_SAMPLES = 450
 """Surface points used; more do not change the body."""
 THINNEST = 0.06
-"""Radius of the disc that fits everywhere into a silhouette, as share of its side: bars beside a lump are thinner."""
+"""Radius of the disc that fits everywhere into a silhouette, as share of its side: bars beside a
+lump are thinner."""
 MIXED_RMS = 0.1
-"""A fitted plane whose residual exceeds this share of the lump's size mixes it with what lies behind."""
+"""A fitted plane whose residual exceeds this share of the lump's size mixes it with what lies
+behind."""
 STEP = 0.06
-"""Depth difference across the outline, as share of the lump's size, that tells contact from a gap."""
+"""Depth difference across the outline, as share of the lump's size, that tells contact from a
+gap."""
 SLOPE_SIGMA = 0.05
 """Error [rad] wanted of a smoothed surface's slope."""
 LARGEST_WINDOW = 0.2
@@ -37,16 +40,18 @@ EDGE_PX = 4.0
 MIN_OUTLINE = 8
 """Fewer outline pixels tell nothing."""
 NEAR = 0.6
-"""Reach around the outline, as share of the lump's size, within which a surface may carry the lump."""
+"""Reach around the outline, as share of the lump's size, within which a surface may carry the
+lump."""
 
 
 @dataclass(frozen=True)
 class Ring:
-    """What lies just outside a lump's outline, by pixel (R,), beside the outline pixel nearest to it.
+    """What lies just outside a lump's outline, by pixel (R,), beside the outline pixel nearest to
+    it.
 
-    Heights [m] over the screen `outside` and `inside`; `step` [m] is how much deeper than the outline the outside is,
-    `gap` [m] the distance between the two, `other` whether another lump lies there. `count` is the number of pixels,
-    with or without depth.
+    Heights [m] over the screen `outside` and `inside`; `step` [m] is how much deeper than the
+    outline the outside is, `gap` [m] the distance between the two, `other` whether another lump
+    lies there. `count` is the number of pixels, with or without depth.
     """
 
     outside: F64
@@ -59,13 +64,15 @@ class Ring:
 
 @dataclass(frozen=True)
 class Sight:
-    """A lump in its own frame: x away from the camera along the screen, z along the screen's normal, origin on it.
+    """A lump in its own frame: x away from the camera along the screen, z along the screen's
+    normal, origin on it.
 
-    Lengths in metres. `axes` (3, 3) are the frame's axes as rows and `origin` (3,) its origin, camera frame. `size` is
-    the square root of the silhouette's area, `sigma_z` the depth noise of a pixel, `view` (3,) the viewing direction.
-    `points` (N, 3) and `normals` (N, 3) sample the smoothed surface, `outline` (K, 3) is its own outline where nothing
-    hides it, `silhouette` (3,) the centroid of the filled silhouette at the outline's mean depth, `solidity` its share
-    of its convex hull's area.
+    Lengths in metres. `axes` (3, 3) are the frame's axes as rows and `origin` (3,) its origin,
+    camera frame. `size` is the square root of the silhouette's area, `sigma_z` the depth noise of a
+    pixel, `view` (3,) the viewing direction. `points` (N, 3) and `normals` (N, 3) sample the
+    smoothed surface, `outline` (K, 3) is its own outline where nothing hides it, `silhouette` (3,)
+    the centroid of the filled silhouette at the outline's mean depth, `solidity` its share of its
+    convex hull's area.
     """
 
     axes: F64
@@ -92,7 +99,9 @@ class Sight:
 
 @dataclass(frozen=True)
 class _Crop:
-    """A lump's rectangle: labels, lump and measured pixels (h, w), points and planes fitted to them, geometry."""
+    """A lump's rectangle: labels, lump and measured pixels (h, w), points and planes fitted to
+    them, geometry.
+    """
 
     lump: Mask
     other: Mask
@@ -112,9 +121,16 @@ class _Crop:
 
 
 def look(
-    surface: Surface, labels: I16, box: tuple[slice, ...], number: int, plane: Plane, min_points: int
+    surface: Surface,
+    labels: I16,
+    box: tuple[slice, ...],
+    number: int,
+    plane: Plane,
+    min_points: int,
 ) -> Sight | None:
-    """Gather the sight of lump `number`, whose pixels in the crop's `labels` (h, w) lie in `box`; None if too few."""
+    """Gather the sight of lump `number`, whose pixels in the crop's `labels` (h, w) lie in `box`;
+    None if too few.
+    """
     crop = _crop(surface, labels, box, number, min_points)
     if crop is None:
         return None
@@ -147,10 +163,15 @@ def look(
     )
 
 
-def _crop(surface: Surface, labels: I16, box: tuple[slice, ...], number: int, min_points: int) -> _Crop | None:
+def _crop(
+    surface: Surface, labels: I16, box: tuple[slice, ...], number: int, min_points: int
+) -> _Crop | None:
     """Cut a lump out, with a margin and perhaps a stride, and smooth its surface by planes."""
     stride = max(1, round(float(np.sqrt((labels[box] == number).sum() / SURFACE_PIXELS))))
-    rows, columns = (slice(max(s.start - MARGIN_PX * stride, 0), s.stop + MARGIN_PX * stride, stride) for s in box)
+    rows, columns = (
+        slice(max(s.start - MARGIN_PX * stride, 0), s.stop + MARGIN_PX * stride, stride)
+        for s in box
+    )
     labels, xyz = labels[rows, columns], np.ascontiguousarray(surface.xyz[rows, columns])
     rig = crop_rig(surface.rig, surface.x0 + columns.start, surface.y0 + rows.start, stride)
     depth = np.ascontiguousarray(xyz[..., 2])
@@ -162,15 +183,21 @@ def _crop(surface: Surface, labels: I16, box: tuple[slice, ...], number: int, mi
     pixels = float(lump.sum())
     size = float(np.sqrt(pixels / (rig.fx * rig.fy)) * np.median(depth[seen]))
     sigma_z = float(np.median(surface.sigma_z[rows, columns][seen]))
-    planes = fit_planes(depth, _trust(lump) * seen, _window(size / np.sqrt(pixels), sigma_z, count), rig)
+    planes = fit_planes(
+        depth, _trust(lump) * seen, _window(size / np.sqrt(pixels), sigma_z, count), rig
+    )
     seen &= planes.rms < MIXED_RMS * size
     if not seen.any():
         return None
-    return _Crop(lump, (labels > 0) & (labels != number), seen, known, xyz, planes, size, sigma_z, rig)
+    return _Crop(
+        lump, (labels > 0) & (labels != number), seen, known, xyz, planes, size, sigma_z, rig
+    )
 
 
 def _without_spurs(lump: Mask) -> Mask:
-    """The largest part of a silhouette that is nowhere thinner than `THINNEST` allows; all of it if there is none."""
+    """The largest part of a silhouette that is nowhere thinner than `THINNEST` allows; all of it if
+    there is none.
+    """
     radius = max(1, round(THINNEST * float(np.sqrt(lump.sum()))))
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
     opened = cv2.morphologyEx(lump.astype(np.uint8), cv2.MORPH_OPEN, disc)
@@ -179,13 +206,16 @@ def _without_spurs(lump: Mask) -> Mask:
 
 
 def _solidity(lump: Mask, rim: Mask) -> float:
-    """Share of its convex hull's area that a silhouette fills; the hull goes through the centres of pixels."""
+    """Share of its convex hull's area that a silhouette fills; the hull goes through the centres of
+    pixels.
+    """
     hull = cv2.convexHull(cv2.findNonZero(rim.astype(np.uint8)))
     return float(lump.sum() / (cv2.contourArea(hull) + 0.5 * cv2.arcLength(hull, True) + 1.0))
 
 
 def _window(pixel_m: float, sigma_z: float, count: int) -> int:
-    """Odd side [px] of the smoothing window: as large as steady slopes need, as small as the lump's shape asks.
+    """Odd side [px] of the smoothing window: as large as steady slopes need, as small as the lump's
+    shape asks.
 
     A slope fitted to n × n points of spacing p and noise σ has the standard deviation √12·σ/(n²·p).
     """
@@ -194,7 +224,9 @@ def _window(pixel_m: float, sigma_z: float, count: int) -> int:
 
 
 def _trust(lump: Mask) -> F32:
-    """Weight of a pixel's depth: matchers err beside the outline, where the window sees two surfaces."""
+    """Weight of a pixel's depth: matchers err beside the outline, where the window sees two
+    surfaces.
+    """
     inside = cv2.distanceTransform(lump.astype(np.uint8), cv2.DIST_L2, 3)
     return np.asarray(np.clip((inside / np.float32(EDGE_PX)) ** 2, 0.02, 1.0), np.float32)
 
@@ -208,7 +240,9 @@ def _ring(crop: _Crop, edge: Mask, axes: F64, origin: F64) -> tuple[Ring, Mask]:
     hidden[at_inside[step < -STEP * crop.size]] = True
     gap = np.sqrt(((outside - inside) ** 2).sum(1))
     other = crop.other.ravel()[at_outside]
-    return Ring((outside - origin) @ axes[2], (inside - origin) @ axes[2], step, gap, other, count), hidden
+    return Ring(
+        (outside - origin) @ axes[2], (inside - origin) @ axes[2], step, gap, other, count
+    ), hidden
 
 
 def _thinned(seen: Mask) -> Mask:
@@ -235,9 +269,11 @@ def _edge(lump: Mask) -> Mask:
 
 
 def _across(lump: Mask, edge: Mask, known: Mask) -> tuple[I64, I64, int]:
-    """Flat indices of the ring's measured pixels and of the edge pixel nearest to each; how many pixels the ring has.
+    """Flat indices of the ring's measured pixels and of the edge pixel nearest to each; how many
+    pixels the ring has.
 
-    Pixels nearer to the lump than `RING_START_PX` are passed over: matchers give them the lump's own depth.
+    Pixels nearer to the lump than `RING_START_PX` are passed over: matchers give them the lump's
+    own depth.
     """
     distance, nearest = cv2.distanceTransformWithLabels(
         (~edge).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
