@@ -81,6 +81,7 @@ class Chain:
         self.region = matching.find_region(self.rig, self.site.volume, self.config.matching)
         filters.parameters(self.config.filter)
         self.empty = empty_screen.load(self.rig, self.region, self.site, self.config)
+        self.withheld = tuple(health.missing_in_site(self.site))
 
     def __call__(self, pair: StereoPair, *more: StereoPair) -> FrameResult:
         """Return what one pair shows, or one and `more` of the same still scene measured together.
@@ -88,7 +89,7 @@ class Chain:
         A fault in the frame ends the chain early: the result then holds what was reached, a status
         other than "ok", and the reason. The self-checks run on other threads beside the chain.
         """
-        trace = Trace()
+        trace = Trace(self.withheld)
         with trace.until_a_fault():
             self._follow(trace, pair, more)
         return trace.result(pair)
@@ -175,9 +176,12 @@ class Chain:
 class Trace:
     """The way of one frame through the chain: what was reached, when, and what speaks against
     it.
+
+    `withheld` are reasons for which frames have no targets however good they are.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, withheld: tuple[Reason, ...] = ()) -> None:
+        self._withheld = withheld
         self._reached: dict[str, Any] = {}
         self._stages_ms: dict[str, float] = {}
         self._checks: list[Future[tuple[Reason, ...]]] = []
@@ -217,7 +221,9 @@ class Trace:
         elif status == "ok" and not found:
             status = "empty"
             reasons.append(Reason("NO_ORE", "no lump on the screen"))
-        targets = targets if status == "ok" else ()
+        if status != "failed":
+            reasons.extend(self._withheld)
+        targets = targets if status == "ok" and not self._withheld else ()
         return self._filled(pair, status, tuple(reasons), found, targets)
 
     def _filled(
