@@ -27,6 +27,7 @@ from stereo_ore.stages import (
     rectify,
     segment,
     solid,
+    stack,
     strike,
     surroundings,
     voxels,
@@ -122,7 +123,15 @@ class Chain:
             "strikes", health.without_doubtful(plans, solids, ore_map, disparity, screen, parts)
         )
         targets = order.order(solids, plans, site, config.order)
-        found = ores.describe(surface, ore_map, solids, plans, site)
+        found = ores.describe(
+            surface,
+            ore_map,
+            solids,
+            plans,
+            site,
+            order.passing(solids, config.order),
+            stack.carried(solids, screen.plane),
+        )
         trace.reached("ores", (found, targets))
 
     def _match(self, eyes: RectifiedPair, more: Sequence[StereoPair]) -> Disparity:

@@ -109,6 +109,8 @@ def _ore(ore: Ore) -> Json:
         "points": ore.points,
         "pixels": ore.pixels,
         "cut": ore.cut,
+        "carries": list(ore.carries),
+        "carried_by": list(ore.carried_by),
         "surface_centroid": _in_frames(ore, "surface_centroid"),
         **_solid(solid),
         "strike": strike,

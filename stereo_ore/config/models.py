@@ -260,6 +260,9 @@ class StrikeConfig(StageConfig):
 class OrderConfig(StageConfig):
     """Which lump to break first: a weighted sum, highest first."""
 
+    include: Literal["oversize", "all"] = param(
+        "oversize", "what is a target: lumps that can't pass or may be unable to, or all lumps"
+    )
     oversize_weight: float = param(
         4.0, "for a lump that can't pass; half of it when that is unknown", ge=0
     )

@@ -107,7 +107,8 @@ class StrikePlan:
 class Ore:
     """One lump: its visible surface, the solid it belongs to, and where to strike.
 
-    `arm` is the same lump in the arm's frame, where that is known.
+    `carries` and `carried_by` are ids of lumps that lie on it and that it lies on. `arm` is the
+    same lump in the arm's frame, where that is known.
     """
 
     id: int
@@ -119,6 +120,8 @@ class Ore:
     plan: StrikePlan
     reasons: tuple[Reason, ...] = ()
     arm: Ore | None = None
+    carries: tuple[int, ...] = ()
+    carried_by: tuple[int, ...] = ()
 
     @property
     def strike(self) -> Strike | None:
