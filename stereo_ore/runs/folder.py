@@ -27,7 +27,7 @@ from stereo_ore.io.atomic import (
 from stereo_ore.io.ore_table import ores_csv
 
 LINES = ("frames.jsonl", "timings.jsonl", "inputs.jsonl")
-FRAME_FOLDERS = ("clouds", "overlays", "stages", "pictures")
+FRAME_FOLDERS = ("clouds", "arm_clouds", "overlays", "stages", "pictures")
 FRAME_SUFFIXES = (".ply", ".png", ".npz")
 WRITTEN = (*LINES, *(f"{name}.part" for name in LINES), *FRAME_FOLDERS, "run.json")
 """What a run makes in its folder and writes into or removes from."""
