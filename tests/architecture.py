@@ -80,6 +80,7 @@ CORE = frozenset(
         "transforms",
         "planes",
         "threads",
+        "times",
         "network",
         "stages",
         "version",

@@ -16,7 +16,8 @@ from live import ListSink, make_message, make_ore, make_record, wait_for
 from stereo_ore.errors import OutputError
 from stereo_ore.plant.publisher import Publisher
 from stereo_ore.plant.sinks.base import Outbox
-from stereo_ore.plant.sinks.message import Origin, message, offline, transform_id, utc
+from stereo_ore.plant.sinks.message import Origin, message, offline, transform_id
+from stereo_ore.times import utc
 
 
 def test_the_records_of_these_tests_are_real_ones():
@@ -132,8 +133,10 @@ def test_a_message_sent_late_goes_without_its_targets():
 )
 def test_times_are_told_to_the_nanosecond(nanoseconds, text):
     assert utc(nanoseconds) == text
-    made = make_message(1, stamp_ns=nanoseconds).json()
+    source = None if nanoseconds is None else "arrival"
+    made = make_message(1, stamp_ns=nanoseconds, stamp_source=source).json()
     assert (made["stamp_ns"], made["stamp_utc"]) == (nanoseconds, text)
+    assert made["stamp_source"] == source
 
 
 def test_a_shortened_message_has_the_best_targets_and_says_so():
