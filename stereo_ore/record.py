@@ -12,7 +12,17 @@ from typing import Any
 import numpy.typing as npt
 
 from stereo_ore.losses import losses
-from stereo_ore.types import FrameResult, Grizzly, Ore, Reason, Registration, Site, Solid, Strike
+from stereo_ore.types import (
+    ForeignBody,
+    FrameResult,
+    Grizzly,
+    Ore,
+    Reason,
+    Registration,
+    Site,
+    Solid,
+    Strike,
+)
 
 SCHEMA = "stereo_ore/frame/2"
 DECIMALS = 6
@@ -40,6 +50,7 @@ def record(result: FrameResult, site: Site) -> Json:
         "counts": dict(result.counts),
         "losses": [vars(loss) for loss in losses(result)],
         "grizzly": _grizzly(result.grizzly),
+        "foreign": [_foreign(body) for body in result.foreign],
         "ores": [_ore(ore) for ore in result.ores],
         "targets": list(result.targets),
     }
@@ -89,6 +100,16 @@ def _registration(moved: Registration | None) -> Json | None:
         "tilt_deg": number(math.degrees(moved.tilt_rad)),
         "worst_m": number(moved.worst_m),
         "field_px": numbers(moved.field_px),
+    }
+
+
+def _foreign(body: ForeignBody) -> Json:
+    return {
+        "name": body.name,
+        "source": body.source,
+        "pixels": body.pixels,
+        "share": number(body.share),
+        "outline_px": body.outline_px.tolist(),
     }
 
 
