@@ -5,6 +5,7 @@ import threading
 import time
 from dataclasses import replace
 from importlib.resources import files
+from pathlib import Path
 
 import jsonschema
 import numpy as np
@@ -50,6 +51,22 @@ def test_messages_are_what_their_schema_says():
     wrong = json.loads(make_message().line()) | {"valid": False}
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.validate(wrong, schema)
+
+
+def test_the_rule_of_the_guide_says_which_message_counts():
+    """Withdrawals are never dropped, nor what a program says that is back; late ones are."""
+    guide = (Path(__file__).parents[1] / "docs" / "plant.md").read_text(encoding="utf-8")
+    names: dict = {}
+    exec(guide.partition("```python\n")[2].partition("```")[0], names)
+    first, second = (make_message(sequence).json() for sequence in (1, 2))
+    gone = json.loads(offline(Origin("test")))
+    anew = {**first, "session": "later", "sequence": 1}
+    last, taken = None, []
+    for sent in (first, second, first, gone, second, first, gone, anew):
+        if names["counts"](sent, last):
+            last = sent
+            taken.append(sent)
+    assert taken == [first, second, gone, second, gone, anew]
 
 
 def test_a_message_carries_targets_in_order_with_unit_and_frame():
