@@ -73,6 +73,7 @@ FACE = "face"
 CORE = frozenset(
     (
         "chain",
+        "installation",
         "losses",
         "types",
         "config",

@@ -247,21 +247,30 @@ def test_what_was_waited_for_in_vain_says_so(
 def test_a_watched_frame_was_taken_when_it_arrived(tmp_path: Path) -> None:
     save_pair(tmp_path, 0, 10**9)
     save_pair(tmp_path, 1_700_000_000_000_000_001)
-    first, second = (frame.read() for frame in frames(FolderWatch(tmp_path, poll_s=0.01), 2))
-    assert first.stamp_source == "arrival"
-    assert abs(first.stamp_ns - time.time_ns()) < 60 * 10**9
+    watched = FolderWatch(tmp_path, poll_s=0.01).frames(Position(), threading.Event())
+    first, second = (next(watched).read() for _ in range(2))
+    assert (first.stamp_ns, first.stamp_source) == (10**9, "modification time")
     assert (second.stamp_ns, second.stamp_source) == (1_700_000_000_000_000_001, "file name")
+    save_pair(tmp_path, 1)
+    third = next(watched).read()
+    assert third.stamp_source == "arrival"
+    assert abs(third.stamp_ns - time.time_ns()) < 60 * 10**9
 
 
-@pytest.mark.parametrize("skew_s", [8, -8])
+@pytest.mark.parametrize(("skew_s", "trust"), [(8, False), (-8, False), (8, True), (-8, True)])
 def test_16_file_server_clock(
-    skew_s: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    skew_s: int,
+    trust: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
-    """Times of files are 8 s off this machine's, either way: the age of what arrives counts from
-    its arrival."""
+    """Times of files are 8 s off this machine's, either way: what seems old is old, unless times
+    are not trusted."""
     now_ns = time.time_ns
     monkeypatch.setattr(time, "time_ns", lambda: now_ns() + skew_s * 10**9)
-    watch, stop, found = FolderWatch(tmp_path, poll_s=0.01), threading.Event(), []
+    watch = FolderWatch(tmp_path, poll_s=0.01, trust_times=trust)
+    stop, found = threading.Event(), []
     thread = threading.Thread(
         target=lambda: found.extend(islice(watch.frames(Position(), stop), 2))
     )
@@ -272,7 +281,7 @@ def test_16_file_server_clock(
     save_pair(tmp_path, 1)
     thread.join(10)
     stop.set()
-    assert [0 <= frame.age_s < 5 for frame in found] == [True, True]
+    assert [0 <= frame.age_s < 5 for frame in found] == [not (trust and skew_s > 0)] * 2
     said = [
         entry.getMessage() for entry in caplog.records if "the clock of files" in entry.getMessage()
     ]

@@ -183,6 +183,25 @@ class GrizzlyConfig(StageConfig):
     refinements: int = param(2, "times the plane found is fitted again to its bars", ge=0)
 
 
+class ForeignConfig(StageConfig):
+    """What is in view and is no ore: the arm itself, chains, posts, people."""
+
+    find: bool = param(True, "look for what stands or hangs over the screen and is no ore")
+    min_stance: float = param(
+        1.2, "height over all around it, in its own widths, from which on a part is no ore", gt=0
+    )
+    margin: float = param(
+        0.08, "band around a body that is no ore either, in openings: depth is smeared there", ge=0
+    )
+    clearance: float = param(0.3, "distance that strikes keep from a body, in openings", ge=0)
+    max_share: float = param(
+        0.1,
+        "share of the view that bodies found may cover before all targets are withheld",
+        ge=0,
+        le=1,
+    )
+
+
 class SegmentConfig(StageConfig):
     """Lumps in the image."""
 
@@ -286,6 +305,9 @@ class StrikeConfig(StageConfig):
 class OrderConfig(StageConfig):
     """Which lump to break first: a weighted sum, highest first."""
 
+    include: Literal["oversize", "all"] = param(
+        "oversize", "what is a target: lumps that can't pass or may be unable to, or all lumps"
+    )
     oversize_weight: float = param(
         4.0, "for a lump that can't pass; half of it when that is unknown", ge=0
     )
@@ -370,6 +392,7 @@ class Config(StageConfig):
     voxel: VoxelConfig = VoxelConfig()
     filter: FilterConfig = FilterConfig()
     grizzly: GrizzlyConfig = GrizzlyConfig()
+    foreign: ForeignConfig = ForeignConfig()
     segment: SegmentConfig = SegmentConfig()
     solid: SolidConfig = SolidConfig()
     strike: StrikeConfig = StrikeConfig()

@@ -59,7 +59,7 @@ class Origin:
 @dataclass(frozen=True)
 class Message:
     """The targets of one frame, or that there are none; `deadline` is on this process's monotonic
-    clock [s].
+    clock [s], `age_s` how old the frame was when it was published.
     """
 
     sequence: int
@@ -74,6 +74,7 @@ class Message:
     targets: tuple[Target, ...] = ()
     deadline: float = 0.0
     stamp_source: str | None = None
+    age_s: float | None = None
 
     @property
     def valid(self) -> bool:
@@ -186,6 +187,7 @@ def message(
         reasons=(*(reason["code"] for reason in record["reasons"]), *reasons),
         targets=targets,
         deadline=time.monotonic() + remaining_s,
+        age_s=round(age_s, 3),
     )
     return whole.current()
 
