@@ -81,6 +81,7 @@ CORE = frozenset(
         "transforms",
         "planes",
         "threads",
+        "times",
         "network",
         "stages",
         "version",

@@ -11,6 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from runs import make_run, ore, quarter_scene, record
 
 from stereo_ore.cli import launch
 from stereo_ore.cli.closing import Closing, cause
@@ -22,6 +23,8 @@ from stereo_ore.plant.frames import LiveFrame, Position
 from stereo_ore.plant.watch import FolderWatch
 
 MARCH = 1_774_958_400_000_000_000
+JUNE = 1_687_000_000_123_456_789
+"""2023-06-17T11:06:40.123456789Z"""
 
 
 def save_pair(
@@ -124,6 +127,51 @@ def test_records_hold_times_and_where_they_are_from(tmp_path: Path) -> None:
 def made(folder: Path) -> Path:
     folder.mkdir()
     return folder
+
+
+def test_a_recording_without_header_stamps_can_be_asked_by_day_and_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Numbered PNG files → `run` → `export` → the query of the guide and pandas, beside a run whose
+    frames have no stamp at all."""
+    duckdb = pytest.importorskip("duckdb", reason="duckdb is not installed")
+    pandas = pytest.importorskip("pandas", reason="pandas is not installed")
+    known = quarter_scene(tmp_path / "scene")
+    stamps = [JUNE + number * 33_000_000 for number in range(2)]
+    (tmp_path / "recording").mkdir()
+    for number, stamp in enumerate(stamps):
+        for eye in ("left", "right"):
+            image = cv2.imread(str(tmp_path / "scene" / f"{eye}.png"))
+            image[0, 0] = number  # no frozen image
+            path = tmp_path / "recording" / f"{eye}{number:06d}.png"
+            cv2.imwrite(str(path), image)
+            os.utime(path, ns=(0, stamp))
+    command(0, "run", tmp_path / "recording", *known, "--out", tmp_path / "out")
+    command(0, "export", tmp_path / "out", tmp_path / "tables", "--format", "parquet")
+    bare = make_run(tmp_path / "bare", [record(0, [ore(1)], stamp_ns=None)], stages=False)
+    command(0, "export", bare, tmp_path / "tables", "--format", "parquet")
+
+    monkeypatch.chdir(tmp_path)
+    guide = (Path(__file__).parents[1] / "docs" / "cluster.md").read_text(encoding="utf-8")
+    ((month, _, oversize, targets, volume),) = duckdb.sql(
+        guide.partition("```sql\n")[2].partition("```")[0]
+    ).fetchall()
+    assert (str(month), targets <= oversize, volume > 0) == ("2023-06-01", True, True)
+    table = pandas.read_parquet("tables/ores")
+    dated = table[table.stamp_source == "modification time"]
+    assert oversize == dated.oversize.sum() > 0
+    assert sorted({stamp.value for stamp in dated.stamp_utc}) == stamps, "to the nanosecond"
+    assert {str(date) for date in dated.date} == {"2023-06-17"}
+    assert table[~table.index.isin(dated.index)][["date", "stamp_utc"]].isna().all(axis=None)
+    rows = pandas.read_csv(tmp_path / "out" / "ores.csv", parse_dates=["stamp_utc"])
+    assert [stamp.value for stamp in rows.stamp_utc] == [stamp.value for stamp in dated.stamp_utc]
+    assert set(rows.stamp_source) == {"modification time"}
+
+
+def command(code: int, *words: object) -> None:
+    with pytest.raises(SystemExit) as end:
+        launch([str(word) for word in words])
+    assert end.value.code == code
 
 
 # --- the end of a run

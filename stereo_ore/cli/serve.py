@@ -181,6 +181,7 @@ def serve(
     live --opcua 4840`
     """
     from stereo_ore.chain import Chain
+    from stereo_ore.cli.run import announce
     from stereo_ore.io.parameters import load_config
     from stereo_ore.io.site import load_site
     from stereo_ore.plant.live_files import LiveFiles
@@ -206,11 +207,7 @@ def serve(
         parameters.source.max_pixels,
     )
     chain = Chain(calibration, load_site(site) if site else None, parameters)
-    if chain.site.T_arm_camera is None:
-        log.warning(
-            "no arm_from_camera in a site file: frames are recorded, but no target is ever"
-            " published as valid"
-        )
+    announce(chain)
     origin = Origin(new_session(), transform_id(chain.site.T_arm_camera))
     consumers = open_sinks(consumer_settings, origin)
     inputs = InputFiles(calib, site, config)

@@ -11,9 +11,9 @@ import json
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from datetime import UTC, datetime
 from typing import Any
 
+from stereo_ore.times import utc
 from stereo_ore.types import F64
 
 SCHEMA = "stereo_ore/targets/1"
@@ -73,6 +73,7 @@ class Message:
     reasons: tuple[str, ...]
     targets: tuple[Target, ...] = ()
     deadline: float = 0.0
+    stamp_source: str | None = None
     age_s: float | None = None
 
     @property
@@ -127,19 +128,6 @@ class Message:
         return json.dumps(self.json(), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
 
 
-def utc(nanoseconds: int | None) -> str | None:
-    """RFC 3339 text with nine digits of a second; None for None and for years that it can't
-    write.
-    """
-    if nanoseconds is None:
-        return None
-    seconds, rest = divmod(nanoseconds, 10**9)
-    try:
-        return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%dT%H:%M:%S}.{rest:09d}Z"
-    except (ValueError, OverflowError, OSError):
-        return None
-
-
 def new_session() -> str:
     """A name for the messages of this start of the program."""
     return f"{time.time_ns():x}"
@@ -192,6 +180,7 @@ def message(
         frame=record["frame"],
         index=record["index"],
         stamp_ns=record["stamp_ns"],
+        stamp_source=record.get("stamp_source"),
         published_ns=now,
         valid_until_ns=now + max(0, int(1e9 * remaining_s)),
         status=record["status"],
