@@ -179,11 +179,8 @@ class Chain:
         config, volume = self.config, self.site.volume
         points = cloud.reproject(disparity, eyes, volume, config.cloud, config.matching.sigma_px)
         if not len(points):
-            raise FrameError(
-                "no point lies in the working volume",
-                code="NO_POINTS",
-                remedy="Check site and calibration",
-            )
+            nearest_m = cloud.nearest_beyond(disparity, eyes, volume, config.cloud)
+            raise _no_points(nearest_m, config.cloud.max_depth_m)
         return points
 
     def _screen(self, surface: Surface) -> Grizzly:
@@ -195,6 +192,21 @@ class Chain:
         if self.empty is not None:
             surface = empty_screen.new_on(self.empty, disparity, surface)
         return segment.segment(surface, screen, self.site.volume, self.config.segment)
+
+
+def _no_points(nearest_m: float | None, max_depth_m: float) -> FrameError:
+    """Why a cloud is empty; `nearest_m` is what lies nearest of what the depth limit took away."""
+    if nearest_m is None:
+        problem, key, remedy = "no point lies in the working volume", None, _CHECK
+    else:
+        problem = (
+            f"all points are farther than {max_depth_m:g} m; the nearest lies at {nearest_m:.4g} m"
+        )
+        key, remedy = "cloud.max_depth_m", f"Set it to what the site needs. {_CHECK}"
+    return FrameError(problem, code="NO_POINTS", key=key, remedy=remedy)
+
+
+_CHECK = "Check site and calibration"
 
 
 class Trace:

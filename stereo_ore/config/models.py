@@ -4,7 +4,15 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationInfo,
+    field_validator,
+)
+from pydantic_core import PydanticCustomError
 
 
 class StageConfig(BaseModel):
@@ -115,11 +123,29 @@ class CloudConfig(StageConfig):
     max_depth_m: float = param(20.0, "farther points are dropped", "m", gt=0, le=5000)
 
 
+LARGEST_VOXEL_M = 0.5
+"""Larger ones hold whole lumps."""
+
+
+def _voxel_edge(value: float | str) -> float | str:
+    """Refuse edges that can't be, in the words of other limits."""
+    if not isinstance(value, str) and value <= 0:
+        raise PydanticCustomError("greater_than", "Input should be greater than 0")
+    if not isinstance(value, str) and value > LARGEST_VOXEL_M:
+        limit = {"limit": LARGEST_VOXEL_M}
+        raise PydanticCustomError(
+            "less_than_equal", "Input should be less than or equal to {limit}", limit
+        )
+    return value
+
+
 class VoxelConfig(StageConfig):
     """The voxel grid."""
 
-    size_m: float | Literal["auto"] = param(
-        "auto", "edge of a voxel; auto: `pixels` × pixel size at the screen", "m"
+    size_m: Annotated[float | Literal["auto"], AfterValidator(_voxel_edge)] = param(
+        "auto",
+        f"edge of a voxel, up to {LARGEST_VOXEL_M} m; auto: `pixels` × pixel size at the screen",
+        "m",
     )
     pixels: float = param(
         3.4, "edge of an automatic voxel in pixels at the middle of the scene", "px", gt=0

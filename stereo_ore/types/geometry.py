@@ -82,6 +82,13 @@ class Rig:
     doffs_px: float = 0.0
     disparity_offset_px: float = 0.0
 
+    @property
+    def shift_px(self) -> float:
+        """What turns a disparity as it is measured into fx·B / z [px]: what lies at infinity is
+        measured at minus this.
+        """
+        return self.doffs_px + self.disparity_offset_px
+
     def depth(self, disparity_px: npt.ArrayLike) -> F64:
         """Depth z [m]; NaN where the disparity is NaN or stands for no finite positive depth."""
         d = np.asarray(disparity_px, dtype=np.float64) + self.doffs_px

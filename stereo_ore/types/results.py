@@ -22,9 +22,9 @@ from stereo_ore.types.stages import (
     VoxelCloud,
 )
 
-Status = Literal["ok", "degraded", "empty", "failed"]
+Status = Literal["ok", "degraded", "empty", "failed", "skipped"]
 """Only an "ok" frame has targets; a "degraded" one has a cloud, but something speaks against acting
-on it."""
+on it; a "skipped" one, of a live run, was not looked at."""
 
 
 @dataclass(frozen=True)
