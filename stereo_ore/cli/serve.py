@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import logging
 import re
 import signal
@@ -12,6 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from stereo_ore.cli.ros2 import open_live
 
 if TYPE_CHECKING:
     from stereo_ore.plant.frames import LiveSource
@@ -62,9 +65,19 @@ def serve(
     camera: Annotated[
         int | None, typer.Option("--camera", min=0, help="UVC camera, both eyes side by side.")
     ] = None,
+    ros2: Annotated[
+        bool, typer.Option("--ros2", help="Topics of a camera's ROS 2 driver.")
+    ] = False,
+    left_topic: Annotated[
+        str | None, typer.Option(help="Image topic of the left eye; default: as drivers name it.")
+    ] = None,
+    right_topic: Annotated[str | None, typer.Option(help="Image topic of the right eye.")] = None,
+    max_skew_ms: Annotated[
+        float, typer.Option(min=0, help="Stamps of a pair of topics are at most so far apart [ms].")
+    ] = 5.0,
     calib: Annotated[
         Path | None,
-        typer.Option("--calib", help="Calibration of the camera; a bag may carry its own."),
+        typer.Option("--calib", help="Calibration of the camera; bags and topics have their own."),
     ] = None,
     out: Annotated[
         Path, typer.Option("--out", help="Folder for the results; a run in it goes on.")
@@ -125,9 +138,12 @@ def serve(
 
     consumer_settings = load_sinks(sinks, opcua=opcua, mqtt=mqtt, tcp=tcp, modbus=modbus)
     parameters = load_config(config, settings or [])
-    frames, calibration = _open(
-        source, watch, camera, calib, _size(size), parameters.source.max_pixels
-    )
+    eye, most = _size(size), parameters.source.max_pixels
+    if ros2:
+        _alone(source, watch, camera)
+        frames, calibration = open_live((left_topic, right_topic), max_skew_ms, calib, eye, most)
+    else:
+        frames, calibration = _open(source, watch, camera, calib, eye, most)
     chain = Chain(calibration, load_site(site) if site else None, parameters)
     if chain.site.T_arm_camera is None:
         log.warning(
@@ -137,7 +153,7 @@ def serve(
     origin = Origin(new_session(), transform_id(chain.site.T_arm_camera))
     consumers = open_sinks(consumer_settings, origin)
     inputs = InputFiles(calib, site, config)
-    about = description(frames.name, chain, inputs)
+    about = description(frames.name, chain, inputs, **_own_calibration(ros2, calib, calibration))
     with RunFolder(out, about, resume=not overwrite, overwrite=overwrite) as folder:
         write_inputs(out, chain, inputs)
         watcher = Watch(parameters.health, folder.earlier())
@@ -224,7 +240,23 @@ def _open(
             return open_camera(camera, calibration.image_size), calibration
     if calib is None and source is None:
         raise typer.BadParameter("--calib is needed: only a bag can carry its own calibration")
-    raise typer.BadParameter("give one of SOURCE, --watch and --camera")
+    raise typer.BadParameter("give one of SOURCE, --watch, --camera and --ros2")
+
+
+def _alone(*others: object) -> None:
+    if any(other is not None for other in others):
+        raise typer.BadParameter("give one of SOURCE, --watch, --camera and --ros2")
+
+
+def _own_calibration(
+    live: bool, calib: Path | None, calibration: StereoCalibration
+) -> dict[str, str]:
+    """What tells runs of one driver's topics apart whose calibration is theirs."""
+    from stereo_ore.io.calibration import dump
+
+    if not live or calib is not None:
+        return {}
+    return {"calibration_sha256": hashlib.sha256(dump(calibration).encode()).hexdigest()}
 
 
 def _size(text: str | None) -> tuple[int, int] | None:

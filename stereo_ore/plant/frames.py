@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Protocol
 
 from stereo_ore.io.recordings import Source
+from stereo_ore.io.recordings.stamps import Stamp
 from stereo_ore.types import StereoPair
 
 
@@ -19,7 +20,9 @@ class LiveFrame:
     """One frame that has arrived; `read` raises `FrameError` when it is not usable.
 
     `arrived_ns` is the time of day; `seen_s` the same moment on the clock that nobody sets
-    (`time.monotonic`), where this program saw the frame arrive.
+    (`time.monotonic`), where this program saw the frame arrive. `stamp` is when it was taken, for
+    the record of one that can't be read. `superseded`: a newer frame is at hand, so that this one
+    is recorded and not told.
     """
 
     name: str
@@ -28,6 +31,8 @@ class LiveFrame:
     files: tuple[Path, ...]
     read: Callable[[], StereoPair]
     seen_s: float | None = None
+    stamp: Stamp | None = None
+    superseded: bool = False
 
     @property
     def age_s(self) -> float:

@@ -54,7 +54,8 @@ def serve(
         lines = process(frame)
         folder.add(lines)
         record = json.loads(lines.record)
-        publisher.publish(record, frame.age_s)
+        if not frame.superseded:
+            publisher.publish(record, frame.age_s)
         status.add(record, frame.age_s)
         _tell(record, frame)
         done += 1
@@ -88,7 +89,7 @@ def processing(driver: Driver, watch: Watch) -> Process:
     """Processing of live frames by an unattended driver, each judged by those before it."""
 
     def process(frame: LiveFrame) -> FrameLines:
-        result = driver.detect(frame.name, frame.index, lambda: [frame.read()])
+        result = driver.detect(frame.name, frame.index, lambda: [frame.read()], frame.stamp)
         return watch.judge(driver.finish(result, frame.files))
 
     return process
