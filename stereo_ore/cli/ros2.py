@@ -11,7 +11,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
+    from stereo_ore.chain import Chain
     from stereo_ore.plant.frames import LiveSource
+    from stereo_ore.plant.ros2.view import View
+    from stereo_ore.plant.sinks.base import TargetSink
+    from stereo_ore.plant.sinks.settings import SinksSettings
     from stereo_ore.types import StereoCalibration
 
 log = logging.getLogger(__name__)
@@ -67,3 +71,35 @@ def open_live(
     calibration = load(calib, image_size=size, recorded_size=source.size)
     opening.compare(source, calibration, calib)
     return source, calibration
+
+
+def topics_out(settings: SinksSettings, view: View | None) -> list[TargetSink]:
+    """The sink that publishes a run as topics, where that is wanted.
+
+    Raises
+    ------
+    StereoOreError
+        Without ROS 2, or without the geometry of the images.
+    """
+    from stereo_ore.errors import OutputError
+
+    if settings.ros2 is None:
+        return []
+    prefer_sourced()
+    from stereo_ore.plant.ros2.install import require
+    from stereo_ore.plant.ros2.sink import Ros2Sink
+
+    require()
+    if view is None:
+        raise OutputError("the run has kept no calibration", key="ros2", remedy="Repeat the run")
+    return [Ros2Sink(settings.ros2, view)]
+
+
+def live_view(out: Path, chain: Chain, valid_for_s: float, frame_id: str) -> View:
+    """What topics show of a live run; `frame_id` is what a driver calls the left camera, if one
+    does.
+    """
+    from stereo_ore.plant.ros2.view import CAMERA_FRAME, View
+
+    arm, camera = chain.site.T_arm_camera, chain.calibration.camera
+    return View(out, chain.rig, arm, camera, valid_for_s, frame_id or CAMERA_FRAME)

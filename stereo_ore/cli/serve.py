@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from stereo_ore.cli.ros2 import open_live
+from stereo_ore.cli.ros2 import Ros2Out, live_view, open_live, topics_out
 
 if TYPE_CHECKING:
     from stereo_ore.plant.frames import LiveSource
@@ -94,6 +94,7 @@ def serve(
     mqtt: MqttPort = None,
     tcp: TcpPort = None,
     modbus: ModbusPort = None,
+    ros2_out: Ros2Out = False,
     size: Annotated[
         str | None,
         typer.Option(
@@ -136,7 +137,9 @@ def serve(
     from stereo_ore.runs.history import Watch
     from stereo_ore.runs.identity import InputFiles, description, write_inputs
 
-    consumer_settings = load_sinks(sinks, opcua=opcua, mqtt=mqtt, tcp=tcp, modbus=modbus)
+    consumer_settings = load_sinks(
+        sinks, opcua=opcua, mqtt=mqtt, tcp=tcp, modbus=modbus, ros2=ros2_out
+    )
     parameters = load_config(config, settings or [])
     eye, most = _size(size), parameters.source.max_pixels
     if ros2:
@@ -152,6 +155,9 @@ def serve(
         )
     origin = Origin(new_session(), transform_id(chain.site.T_arm_camera))
     consumers = open_sinks(consumer_settings, origin)
+    consumers += topics_out(
+        consumer_settings, live_view(out, chain, valid_for, getattr(frames, "frame_id", ""))
+    )
     inputs = InputFiles(calib, site, config)
     about = description(frames.name, chain, inputs, **_own_calibration(ros2, calib, calibration))
     with RunFolder(out, about, resume=not overwrite, overwrite=overwrite) as folder:

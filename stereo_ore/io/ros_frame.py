@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from stereo_ore.io import clouds
-from stereo_ore.record import Json
 from stereo_ore.types import F64
+
+Json = Mapping[str, Any]
 
 CAMERA_FRAME, ARM_FRAME = "left_rectified", "arm"
 Base = Literal["camera", "arm"]
@@ -150,11 +151,14 @@ class RosFrame:
 
     def pose(self, position: npt.ArrayLike, axes: F64) -> Any:
         """Pose at a position [m] with axes (3, 3), as columns."""
-        x, y, z = (float(value) for value in np.asarray(position))
-        point = self.types["geometry_msgs/msg/Point"](x=x, y=y, z=z)
         return self.types["geometry_msgs/msg/Pose"](
-            position=point, orientation=self.quaternion(axes)
+            position=self.point(position), orientation=self.quaternion(axes)
         )
+
+    def point(self, position: npt.ArrayLike) -> Any:
+        """Point [m]."""
+        x, y, z = (float(value) for value in np.asarray(position))
+        return self.types["geometry_msgs/msg/Point"](x=x, y=y, z=z)
 
     def vector(self, values: npt.ArrayLike) -> Any:
         """Vector3."""

@@ -16,13 +16,13 @@ class Node:
 
     Parameters
     ----------
-    name : str
-        Its name.
+    name, namespace : str
+        Its name, and what its topics' names begin with.
     spins : bool
         Whether it has callbacks.
     """
 
-    def __init__(self, name: str, *, spins: bool) -> None:
+    def __init__(self, name: str, *, spins: bool, namespace: str = "") -> None:
         require()
         import rclpy
         from rclpy.context import Context
@@ -33,7 +33,11 @@ class Node:
         self._context = Context()
         rclpy.init(context=self._context, args=[], signal_handler_options=SignalHandlerOptions.NO)
         self.ros: Any = rclpy.create_node(
-            name, context=self._context, start_parameter_services=False, enable_rosout=False
+            name,
+            context=self._context,
+            namespace=namespace,
+            start_parameter_services=False,
+            enable_rosout=False,
         )
         self.types = MessageTypes()
         self._thread: threading.Thread | None = None

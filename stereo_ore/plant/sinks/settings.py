@@ -64,6 +64,18 @@ class ModbusSettings(_Section):
     clients: tuple[IPvAnyNetwork, ...] = ()
 
 
+class Ros2Settings(_Section):
+    """Topics of ROS 2, which knows neither users nor encryption: they stay on this machine unless
+    ROS's own variables say otherwise.
+
+    Without `camera_frame` it is called as the driver's images call it.
+    """
+
+    namespace: str = Field("stereo_ore", pattern=r"^/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*$")
+    camera_frame: str | None = Field(None, pattern=r"^[A-Za-z_][\w/]*$")
+    arm_frame: str = Field("arm_base_link", pattern=r"^[A-Za-z_][\w/]*$")
+
+
 class SinksSettings(_Section):
     """All consumers; a section that is not given is off."""
 
@@ -73,10 +85,12 @@ class SinksSettings(_Section):
     mqtt: MqttSettings | None = None
     tcp: TcpSettings | None = None
     modbus: ModbusSettings | None = None
+    ros2: Ros2Settings | None = None
 
 
-def load_sinks(path: Path | None, **ports: int | None) -> SinksSettings:
-    """Settings of a file (None: no consumer), with consumers on this machine added by their port.
+def load_sinks(path: Path | None, *, ros2: bool = False, **ports: int | None) -> SinksSettings:
+    """Settings of a file (None: no consumer), with consumers on this machine added by their port,
+    and ROS 2 where it is wanted.
 
     Raises
     ------
@@ -85,9 +99,11 @@ def load_sinks(path: Path | None, **ports: int | None) -> SinksSettings:
         safeguards.
     """
     data: dict[str, Any] = {} if path is None else load_yaml(path, ConfigError)
-    given = {
+    given: dict[str, Any] = {
         name: {"host": LOOPBACK, "port": port} for name, port in ports.items() if port is not None
     }
+    if ros2:
+        given["ros2"] = data.get("ros2") or {}
     origin = path or Path("command line")
     settings = validate(SinksSettings, {**data, **given}, origin, ConfigError)
     settings = _resolve(settings, path.parent if path else Path())
