@@ -24,19 +24,29 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 
-def poses(message: PoseArray) -> list[list[float]]:
-    return [
-        [p.position.x, p.position.y, p.position.z]
-        + [p.orientation.x, p.orientation.y, p.orientation.z, p.orientation.w]
-        for p in message.poses
-    ]
+def xyz(vector: Any) -> list[float]:
+    return [vector.x, vector.y, vector.z]
 
 
-def markers(message: MarkerArray) -> list[Any]:
+def poses(message: PoseArray) -> list[Any]:
+    return [[*xyz(p.position), *xyz(p.orientation), p.orientation.w] for p in message.poses]
+
+
+def markers(message: MarkerArray) -> list[dict[str, Any]]:
     return [
-        [m.ns, m.id, m.type, m.action, m.lifetime.sec + m.lifetime.nanosec / 1e9, m.text]
-        + [[m.pose.position.x, m.pose.position.y, m.pose.position.z], m.header.frame_id]
-        + [[m.scale.x, m.scale.y, m.scale.z], [[p.x, p.y, p.z] for p in m.points]]
+        {
+            "ns": m.ns,
+            "id": m.id,
+            "type": m.type,
+            "action": m.action,
+            "lifetime_s": m.lifetime.sec + m.lifetime.nanosec / 1e9,
+            "text": m.text,
+            "position": xyz(m.pose.position),
+            "orientation": [*xyz(m.pose.orientation), m.pose.orientation.w],
+            "scale": xyz(m.scale),
+            "points": [xyz(p) for p in m.points],
+            "frame": m.header.frame_id,
+        }
         for m in message.markers
     ]
 

@@ -12,8 +12,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-PATIENCE_S = 1.0
-"""An image without a partner is given up after this time."""
+PATIENCE_S = 5.0
+"""An image without a partner is given up after this time: one that was lost on the way comes again
+only with the next."""
 MOST_WAITING = 16
 """Images of an eye that wait for their partners: a bound on memory."""
 
@@ -53,8 +54,8 @@ class Coming:
 
     @property
     def arrived_s(self) -> float:
-        """When the last of its images was here, on the monotonic clock [s]."""
-        return max(image.arrived_s for image in (self.left, self.right) if image)
+        """When the first of its images was here, on the monotonic clock [s]."""
+        return min(image.arrived_s for image in (self.left, self.right) if image)
 
 
 class Pairer:
@@ -131,6 +132,11 @@ class Newest:
 
     def __bool__(self) -> bool:
         return bool(self._frames)
+
+    @property
+    def pairs(self) -> int:
+        """How many complete frames wait."""
+        return sum(frame.complete for frame, _ in self._frames)
 
     @property
     def last(self) -> Coming | None:

@@ -105,6 +105,12 @@ class Topics:
         return None
 
     @property
+    def pairs_waiting(self) -> int:
+        """Complete frames that have come since one was taken."""
+        with self._changed:
+            return self._newest.pairs
+
+    @property
     def delivers(self) -> bool:
         """Whether a pair has come."""
         return self._counts["pairs"] > 0
