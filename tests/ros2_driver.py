@@ -25,13 +25,14 @@ import yaml
 from rclpy.context import Context
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
+from ros2_driver_plan import START, STEP
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 DEFAULTS = {
     "count": 1,
     "period_s": 0.1,
-    "start_ns": 1_790_000_000_000_000_000,
-    "stamp_step_ns": 66_666_667,
+    "start_ns": START,
+    "stamp_step_ns": STEP,
     "drop_left": [],
     "drop_right": [],
     "jump": None,
