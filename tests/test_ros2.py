@@ -38,7 +38,9 @@ ENVIRONMENT = {
     "PYTHONPATH": os.pathsep.join([str(TESTS), str(TESTS.parent)]),
     "OMP_NUM_THREADS": "1",
 }
-VALID_FOR_S = 3.0
+VALID_FOR_S = 30.0
+GONE_S = 2.5
+"""A listener knows after this time that the program is gone, on a busy machine too."""
 WAIT_S = 90.0
 
 
@@ -122,7 +124,7 @@ def served(synth_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Serv
     options = ["--site", synth_folder / "site.yaml", "--out", out, "--valid-for", VALID_FOR_S]
     options += ["--set", "health.refuse_frozen=false"]
     with (
-        driver(synth_folder, count=3, period_s=2.5, vary=False, linger_s=60) as camera,
+        driver(synth_folder, count=3, period_s=1.5, vary=False, linger_s=60) as camera,
         listener() as early,
         process(*COMMAND, "serve", "--ros2", "--ros2-out", *options, stderr=True) as program,
     ):
@@ -139,7 +141,7 @@ def served(synth_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Serv
             wait_for(lambda: {m["topic"] for m in late.json()} >= {"cloud", "lumps"}, WAIT_S)
             program.popen.send_signal(signal.SIGKILL)
             killed_s = time.monotonic()
-            time.sleep(VALID_FOR_S + 0.5)
+            time.sleep(GONE_S)
             return Served(out, early.json(), late.json(), killed_s, list(program.lines))
 
 
@@ -287,10 +289,10 @@ def test_targets_vanish_when_the_program_is_killed(served: Served) -> None:
     for late in (False, True):
         gone = [m for m in served.of("liveliness", late) if m["alive"] == 0]
         assert len(gone) == 1
-        assert 0 < gone[0]["at"] - served.killed_s < VALID_FOR_S
+        assert 0 < gone[0]["at"] - served.killed_s < GONE_S
     for message in served.of("strikes"):
         for marker in message["data"][1:]:
-            assert message["came"] + marker["lifetime_s"] < served.killed_s + VALID_FOR_S + 0.5
+            assert message["came"] + marker["lifetime_s"] < served.killed_s + VALID_FOR_S
 
 
 def test_the_way_to_a_static_transform_is_told(served: Served) -> None:
