@@ -138,7 +138,8 @@ def served(synth_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Serv
             "overlay of the last frame",
         )
         with listener() as late:
-            wait_for(lambda: {m["topic"] for m in late.json()} >= {"cloud", "lumps"}, WAIT_S)
+            shown = {"lumps", "cloud", "overlay/compressed", "camera_info", "/diagnostics"}
+            wait_for(lambda: {m["topic"] for m in late.json()} >= shown, WAIT_S, "the latest")
             program.popen.send_signal(signal.SIGKILL)
             killed_s = time.monotonic()
             time.sleep(GONE_S)
@@ -254,7 +255,7 @@ def test_lumps_labels_screen_and_strikes_are_markers_that_fade(served: Served) -
         assert 0 < arrow["lifetime_s"] < VALID_FOR_S
         way = np.array(plans[id]["direction"]["camera"])
         tip = np.array(arrow["position"]) + arrow["scale"][0] * x_along(way)[:, 0]
-        np.testing.assert_allclose(tip, plans[id]["point"]["camera"], atol=1e-9)
+        np.testing.assert_allclose(tip, plans[id]["point"]["camera"], atol=1e-6)
 
 
 def test_overlay_camera_info_and_diagnostics(served: Served) -> None:

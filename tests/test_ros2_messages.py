@@ -13,13 +13,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from live import ListSink, make_message, make_record
+from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from stereo_ore.cli import app, load_verbs
 from stereo_ore.errors import CalibrationError, ConfigError, FrameError, MissingExtraError
 from stereo_ore.io.calibration import load
-from stereo_ore.io.ros_frame import RosFrame
+from stereo_ore.io.ros_frame import RosFrame, quaternion
 from stereo_ore.plant.publisher import Publisher
 from stereo_ore.plant.ros2 import install, markers
 from stereo_ore.plant.ros2.diagnosis import diagnostics
@@ -51,6 +54,19 @@ def test_targets_are_in_the_frame_asked_for_and_best_first() -> None:
     assert [pose.position.y for pose in message.poses] == [3.0, 1.0]
     assert ros().targets(record, "camera", [2]).header.frame_id == "left_optical"
     assert ros().targets({"ores": []}, "arm", []).poses == []
+
+
+@given(st.integers(0, 2**32 - 1), st.booleans())
+@settings(deadline=None)
+def test_quaternions_are_scipys(seed: int, half_turn: bool) -> None:
+    vector = np.random.default_rng(seed).normal(size=3)
+    rotation = Rotation.from_rotvec(
+        np.pi * vector / np.linalg.norm(vector) if half_turn else vector
+    )
+    found = np.array(quaternion(rotation.as_matrix()))
+    expected = rotation.as_quat()
+    np.testing.assert_allclose(abs(found @ expected), 1.0, atol=1e-12)
+    assert found[3] >= 0
 
 
 def test_a_screen_seen_edge_on_or_not_at_all_is_not_drawn() -> None:
@@ -287,9 +303,9 @@ def test_the_sinks_file_names_the_frames(tmp_path: Path) -> None:
     file = tmp_path / "sinks.yaml"
     head = "format: stereo_ore/sinks\nversion: 1\n"
     file.write_text(f"{head}ros2: {{namespace: /plant/north, arm_frame: base}}\n")
-    for given in (load_sinks(file).ros2, load_sinks(file, ros2=True).ros2):
-        assert given is not None
-        assert (given.namespace, given.arm_frame) == ("/plant/north", "base")
+    for found in (load_sinks(file).ros2, load_sinks(file, ros2=True).ros2):
+        assert found is not None
+        assert (found.namespace, found.arm_frame) == ("/plant/north", "base")
     for wrong in ("namespace: a b", "arm_frame: ''", "namespace: //a", "frame: base"):
         file.write_text(f"{head}ros2: {{{wrong}}}\n")
         with pytest.raises(ConfigError, match="ros2"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
@@ -167,10 +168,30 @@ class RosFrame:
 
     def quaternion(self, axes: F64) -> Any:
         """Quaternion of a rotation (3, 3)."""
-        from scipy.spatial.transform import Rotation
-
-        x, y, z, w = (float(value) for value in Rotation.from_matrix(axes).as_quat())
+        x, y, z, w = quaternion(axes)
         return self.types["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w)
+
+
+def quaternion(rotation: F64) -> tuple[float, float, float, float]:
+    """x, y, z, w of a rotation (3, 3), w ≥ 0 (Shepperd 1978); SciPy's takes 0.2 ms, which is much
+    where a frame has a hundred.
+    """
+    R = rotation.tolist()
+    squares = [R[0][0], R[1][1], R[2][2], R[0][0] + R[1][1] + R[2][2]]
+    largest = squares.index(max(squares))
+    found = [0.0] * 4
+    if largest == 3:
+        found[3] = 1 + squares[3]
+        for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+            found[i] = R[k][j] - R[j][k]
+    else:
+        i, j, k = largest, (largest + 1) % 3, (largest + 2) % 3
+        found[i] = 1 - squares[3] + 2 * R[i][i]
+        found[j], found[k] = R[j][i] + R[i][j], R[k][i] + R[i][k]
+        found[3] = R[k][j] - R[j][k]
+    length = math.copysign(math.hypot(*found), found[3])
+    x, y, z, w = (value / length for value in found)
+    return x, y, z, w
 
 
 def box_axes(ore: Json) -> F64:
