@@ -331,12 +331,15 @@ def test_a_sourced_ros_2_gets_its_own_libraries(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     wheels, own = Path(sys.prefix) / "lib", tmp_path / "ros" / "lib"
-    sourced(tmp_path / "ros", monkeypatch, [wheels, own])
+    packages = wheels / "python3" / "site-packages"
+    opencv = f"{packages}/cv2/../../lib64"
+    paths = [wheels, packages / "ros_rcl.libs", own, Path(opencv)]
+    sourced(tmp_path / "ros", monkeypatch, paths)
     found = install.cleaned_environment()
     assert found is not None
-    assert found["LD_LIBRARY_PATH"] == str(own)
+    assert found["LD_LIBRARY_PATH"] == f"{own}{os.pathsep}{opencv}"
     assert found[install.BOOTSTRAPPED] == "1"
-    monkeypatch.setenv("LD_LIBRARY_PATH", str(own))
+    monkeypatch.setenv("LD_LIBRARY_PATH", f"{own}{os.pathsep}{opencv}")
     assert install.cleaned_environment() is None
     monkeypatch.delenv("AMENT_PREFIX_PATH")
     monkeypatch.setenv("LD_LIBRARY_PATH", str(wheels))

@@ -107,8 +107,12 @@ def _parts(variable: str) -> list[str]:
 
 
 def _is_wheels(path: str) -> bool:
-    """Whether a folder of libraries is what the bootstrapper adds for this environment."""
-    return Path(path).resolve().is_relative_to(Path(sys.prefix).resolve())
+    """Whether a folder of libraries is what the bootstrapper adds for this environment; OpenCV's
+    package adds one, too.
+    """
+    place, prefix = Path(path).resolve(), Path(sys.prefix).resolve()
+    of_package = place.is_relative_to(prefix) and place.name.startswith("ros_")
+    return place == prefix / "lib" or of_package
 
 
 def _supported() -> bool:
