@@ -170,7 +170,7 @@ def on_files(synth_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
 def processed(served: Served) -> list[str]:
     """Lines of the frames that were not passed over."""
     lines = (served.out / "frames.jsonl.part").read_text().splitlines()
-    return [line for line in lines if json.loads(line)["status"] != "failed"]
+    return [line for line in lines if json.loads(line)["status"] == "ok"]
 
 
 def test_frames_of_a_driver_give_what_run_gives_on_the_files(
@@ -364,14 +364,12 @@ def test_eyes_that_drop_a_clock_that_jumps_and_a_driver_that_dies(
     stamps = [START + n * STEP + (back if n >= 9 else 0) for n in range(13)]
     lonely = {3, 4, 6, 12}
     for number, stamp in enumerate(stamps):
-        expected = {"UNPAIRED"} if number in lonely else {"ok", "SKIPPED"}
+        expected = {"UNPAIRED"} if number in lonely else {"ok", "OVERTAKEN"}
         assert codes[str(stamp)] in expected, number
     for number in range(3):
-        assert codes[str(again["start_ns"] + number * STEP)] in {"ok", "SKIPPED"}
+        assert codes[str(again["start_ns"] + number * STEP)] in {"ok", "OVERTAKEN"}
     assert len(found) == 16
     assert len({record["frame"] for record in found}) == 16
-    # Time went back: the names tell so, and are new.
-    assert sum("_" in record["frame"] for record in found) == 4
 
 
 def flood(scene: Path, out: Path, count: int, work_s: float) -> tuple[list[Any], dict[str, Any]]:

@@ -28,7 +28,7 @@ from stereo_ore.plant.ros2 import install, markers
 from stereo_ore.plant.ros2.diagnosis import diagnostics
 from stereo_ore.plant.ros2.infos import Infos
 from stereo_ore.plant.ros2.view import View, static_publisher
-from stereo_ore.plant.sinks.settings import load_sinks
+from stereo_ore.plant.sinks.settings import load_sinks, with_ros2
 from stereo_ore.stages.rectify import make_rectifier
 
 REPOSITORY = Path(__file__).parents[1]
@@ -297,13 +297,13 @@ def test_nothing_but_ros_2_loads_ros_2(tmp_path: Path) -> None:
 
 def test_the_sinks_file_names_the_frames(tmp_path: Path) -> None:
     assert load_sinks(None).ros2 is None
-    wanted = load_sinks(None, ros2=True).ros2
+    wanted = with_ros2(load_sinks(None)).ros2
     assert wanted is not None
     assert (wanted.namespace, wanted.arm_frame) == ("stereo_ore", "arm_base_link")
     file = tmp_path / "sinks.yaml"
     head = "format: stereo_ore/sinks\nversion: 1\n"
     file.write_text(f"{head}ros2: {{namespace: /plant/north, arm_frame: base}}\n")
-    for found in (load_sinks(file).ros2, load_sinks(file, ros2=True).ros2):
+    for found in (load_sinks(file).ros2, with_ros2(load_sinks(file)).ros2):
         assert found is not None
         assert (found.namespace, found.arm_frame) == ("/plant/north", "base")
     for wrong in ("namespace: a b", "arm_frame: ''", "namespace: //a", "frame: base"):

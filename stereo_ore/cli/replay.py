@@ -43,9 +43,10 @@ def replay(
     from stereo_ore.plant.replay import frames, saved_transform, schedule
     from stereo_ore.plant.ros2.view import View
     from stereo_ore.plant.sinks.message import Origin, message, new_session, transform_id
-    from stereo_ore.plant.sinks.settings import load_sinks, open_sinks
+    from stereo_ore.plant.sinks.settings import load_sinks, open_sinks, with_ros2
 
-    settings = load_sinks(sinks, opcua=opcua, mqtt=mqtt, tcp=tcp, modbus=modbus, ros2=ros2_out)
+    settings = load_sinks(sinks, opcua=opcua, mqtt=mqtt, tcp=tcp, modbus=modbus)
+    settings = with_ros2(settings) if ros2_out else settings
     origin = Origin(new_session(), transform_id(saved_transform(folder)), replay=True)
     if dry_run:
         for sequence, record in enumerate(frames(folder), 1):

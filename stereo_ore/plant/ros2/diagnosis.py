@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from stereo_ore.io.ros_frame import RosFrame
-from stereo_ore.plant.sinks.message import Message, utc
+from stereo_ore.plant.sinks.message import Message
+from stereo_ore.times import utc
 
 OK, WARN, ERROR = b"\x00", b"\x01", b"\x02"
 LEVELS = {"ok": OK, "empty": OK, "failed": ERROR}

@@ -72,7 +72,7 @@ class Infos:
                     "camera_info is another one than at the start",
                     code="CALIBRATION_CHANGED",
                     file=self.topics[eye],
-                    remedy="Start again, into another --out",
+                    remedy="Start `serve` again: it goes on with the new one",
                 )
 
     def compare(self, given: StereoCalibration) -> str | None:

@@ -56,7 +56,6 @@ class Topics:
         self._pairer = Pairer(round(wanted.max_skew_ms * 1e6))
         self._newest = Newest()
         self._changed = threading.Condition()
-        self._newest_ns = 0
         self._counts: Counter[str] = Counter()
         self._subscriptions: dict[str, tuple[Any, bool]] = {}
         self._timer = node.ros.create_timer(LOOK_S, self._look)
@@ -64,7 +63,6 @@ class Topics:
 
     def frames(self, start: Position, stop: threading.Event) -> Iterator[LiveFrame]:
         """The newest pair each time one is asked for, after those that it supersedes."""
-        self._newest_ns = _newest_of(start.after)
         index = start.index
         try:
             while not stop.is_set():
@@ -192,7 +190,7 @@ class Topics:
 
     def _frame(self, coming: Coming, superseded: bool, index: int) -> LiveFrame:
         stamp_ns = coming.first.stamp_ns
-        name = self._name(stamp_ns, index)
+        name = stamp_name(stamp_ns)
         self._counts["passed"] += superseded and coming.complete
         return LiveFrame(
             name,
@@ -201,8 +199,9 @@ class Topics:
             (),
             functools.partial(self._read, coming, name, index),
             coming.arrived_s,
-            Stamp(stamp_ns, "header"),
-            superseded,
+            skipped="a newer frame was there" if superseded and coming.complete else "",
+            stamp=Stamp(stamp_ns, "header"),
+            superseded=superseded,
         )
 
     def _lost(self, coming: Coming, index: int) -> LiveFrame:
@@ -218,17 +217,9 @@ class Topics:
         def read() -> StereoPair:
             raise fault
 
-        name = f"{self._name(coming.first.stamp_ns, index)}_before"
+        name = f"{stamp_name(coming.first.stamp_ns)}_before"
         now_ns = time.time_ns()
         return LiveFrame(name, index, now_ns, (), read, coming.arrived_s, superseded=True)
-
-    def _name(self, stamp_ns: int, index: int) -> str:
-        """Name by the stamp; by the index too where time does not go on, so that it is new."""
-        name = stamp_name(stamp_ns)
-        if stamp_ns <= self._newest_ns:
-            name = f"{name}_{index}"
-        self._newest_ns = max(self._newest_ns, stamp_ns)
-        return name
 
     def _read(self, coming: Coming, name: str, index: int) -> StereoPair:
         left, right = coming.left, coming.right
@@ -239,13 +230,6 @@ class Topics:
                 code="UNPAIRED",
                 file=self.topics[0],
                 remedy="Frames are paired by stamp; --max-skew-ms is the limit",
-            )
-        if left.message is None:
-            raise FrameError(
-                "a newer frame had come before this one's turn",
-                code="SKIPPED",
-                file=self.topics[0],
-                remedy="A lower rate of the driver gives the same targets at less cost",
             )
         self.infos.check((left.stamp_ns, right.stamp_ns))
         images = self._image(left, 0), self._image(right, 1)
@@ -263,9 +247,3 @@ class Topics:
             raise FrameError(
                 f"can't be read: {fault}", code="UNREADABLE_IMAGE", file=topic
             ) from None
-
-
-def _newest_of(name: str | None) -> int:
-    """The stamp that a frame is named by [ns]; 0 for other names and none."""
-    digits = (name or "")[:19]
-    return int(digits) if len(digits) == 19 and digits.isdecimal() else 0

@@ -88,9 +88,8 @@ class SinksSettings(_Section):
     ros2: Ros2Settings | None = None
 
 
-def load_sinks(path: Path | None, *, ros2: bool = False, **ports: int | None) -> SinksSettings:
-    """Settings of a file (None: no consumer), with consumers on this machine added by their port,
-    and ROS 2 where it is wanted.
+def load_sinks(path: Path | None, **ports: int | None) -> SinksSettings:
+    """Settings of a file (None: no consumer), with consumers on this machine added by their port.
 
     Raises
     ------
@@ -99,16 +98,23 @@ def load_sinks(path: Path | None, *, ros2: bool = False, **ports: int | None) ->
         safeguards.
     """
     data: dict[str, Any] = {} if path is None else load_yaml(path, ConfigError)
-    given: dict[str, Any] = {
+    given = {
         name: {"host": LOOPBACK, "port": port} for name, port in ports.items() if port is not None
     }
-    if ros2:
-        given["ros2"] = data.get("ros2") or {}
     origin = path or Path("command line")
     settings = validate(SinksSettings, {**data, **given}, origin, ConfigError)
     settings = _resolve(settings, path.parent if path else Path())
     _check_addresses(settings, origin)
     return settings
+
+
+def with_ros2(settings: SinksSettings) -> SinksSettings:
+    """The same consumers and topics of ROS 2, as the file has them or as they are by default."""
+    return (
+        settings
+        if settings.ros2
+        else settings.model_copy(update={"ros2": Ros2Settings.model_validate({})})
+    )
 
 
 def is_loopback(host: str) -> bool:
