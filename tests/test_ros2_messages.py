@@ -1,6 +1,8 @@
 """What topics of ROS 2 say, and what is said where there is no ROS 2: without ROS 2."""
 
+import json
 import os
+import re
 import subprocess
 import sys
 from collections import defaultdict
@@ -13,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from live import ListSink, make_message, make_record
@@ -24,7 +27,7 @@ from stereo_ore.errors import CalibrationError, ConfigError, FrameError, Missing
 from stereo_ore.io.calibration import load
 from stereo_ore.io.ros_frame import RosFrame, quaternion
 from stereo_ore.plant.publisher import Publisher
-from stereo_ore.plant.ros2 import install, markers
+from stereo_ore.plant.ros2 import install, markers, sink
 from stereo_ore.plant.ros2.diagnosis import diagnostics
 from stereo_ore.plant.ros2.infos import Infos
 from stereo_ore.plant.ros2.view import View, static_publisher
@@ -136,6 +139,31 @@ def test_the_command_for_a_static_transform_is_the_sites(tmp_path: Path) -> None
     assert float(given["--qw"]) == pytest.approx(np.sqrt(0.5))
     assert (given["--frame-id"], given["--child-frame-id"]) == ("base", "left_optical")
     assert static_publisher(replace(view, T_arm_camera=None), "base") is None
+
+
+def published() -> set[str]:
+    return {name if name.startswith("/") else f"/stereo_ore/{name}" for name in sink.TOPICS}
+
+
+def test_the_layouts_for_viewers_show_topics_that_there_are() -> None:
+    rviz = yaml.safe_load((REPOSITORY / "docs" / "ros2" / "stereo_ore.rviz").read_text())
+    displays = rviz["Visualization Manager"]["Displays"]
+    shown = {display["Class"].partition("/")[2]: display for display in displays}
+    assert {"PointCloud2", "MarkerArray", "PoseArray", "Image"} <= shown.keys()
+    topics = [display["Topic"] for display in displays if "Topic" in display]
+    assert {topic["Value"] for topic in topics} <= published()
+    assert {topic["Durability Policy"] for topic in topics} == {"Transient Local"}
+    text = (REPOSITORY / "docs" / "ros2" / "foxglove.json").read_text(encoding="utf-8")
+    panels = json.loads(text)["configById"]
+    assert set(re.findall(r'"(/[a-z_/]+)"', text)) <= published()
+    assert set(re.findall(r'"(?:first|second)": "([^"]+)"', text)) == set(panels)
+
+
+def test_the_page_lists_every_topic_with_its_type() -> None:
+    page = (REPOSITORY / "docs" / "ros2.md").read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| `([^`]+)` \| (\w+) \|", page, re.MULTILINE))
+    kinds = {name: kind.rpartition("/")[2] for name, kind in sink.TOPICS.items()}
+    assert rows == {**kinds, sink.STATIC: "TFMessage"}
 
 
 # --- calibrations of topics

@@ -20,6 +20,10 @@ WAIT_S = 30.0
 """A driver that does not deliver within this time is an error at the start."""
 TOLD_AFTER_S = 2.0
 POLL_S = 0.05
+NOT_FOUND = (
+    "Does the driver run, in this domain? One on another machine is found with"
+    " ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET"
+)
 SETTLED_S = 1.0
 """Topics become known one after the other: a choice is made when none has come for this time."""
 
@@ -97,7 +101,7 @@ def _find(node: Node) -> tuple[str, str]:
             known, changed_s = found, time.monotonic()
         return len(known) > 1 and time.monotonic() - changed_s > SETTLED_S
 
-    _wait(settled, f"no image topics ({domain()})", "Name them with --left-topic and --right-topic")
+    _wait(settled, f"no image topics ({domain()})")
     return choose_topics(known, None, "ROS 2")
 
 
@@ -107,9 +111,9 @@ def _wait(condition: Callable[[], object], problem: str, remedy: str | None = No
     while not condition():
         waited_s = time.monotonic() - began
         if waited_s > WAIT_S:
-            hint = "Does the driver run, in the same domain? Other machines are found with"
-            remedy = remedy or f"{hint} ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET"
-            raise SourceError(f"{problem} within {WAIT_S:.0f} s", file="ROS 2", remedy=remedy)
+            raise SourceError(
+                f"{problem} within {WAIT_S:.0f} s", file="ROS 2", remedy=remedy or NOT_FOUND
+            )
         if waited_s > TOLD_AFTER_S and not told:
             told = True
             log.info("ROS 2: %s yet; waiting (%s)", problem, domain())
