@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import threading
 from contextlib import suppress
 from typing import Any
@@ -12,7 +13,8 @@ JOIN_S = 5.0
 
 
 class Node:
-    """An open node; `close` it.
+    """An open node; `close` it. What is left open at the end of the program is closed then: its
+    thread would end it with an abort.
 
     Parameters
     ----------
@@ -40,6 +42,7 @@ class Node:
             enable_rosout=False,
         )
         self.types = MessageTypes()
+        atexit.register(self.close)
         self._thread: threading.Thread | None = None
         if spins:
             self._executor = SingleThreadedExecutor(context=self._context)
@@ -58,7 +61,10 @@ class Node:
             self._executor.spin()
 
     def close(self) -> None:
-        """End callbacks, and leave the network."""
+        """End callbacks, and leave the network; a second time nothing happens."""
+        atexit.unregister(self.close)
+        if not self._context.ok():
+            return
         if self._thread is not None:
             self._executor.shutdown(timeout_sec=JOIN_S)
             self._thread.join(JOIN_S)
