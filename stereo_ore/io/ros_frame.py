@@ -31,7 +31,7 @@ Types = Mapping[str, Callable[..., Any]]
 """Makers of messages by their type's full name, such as ``std_msgs/msg/Header``."""
 
 
-def as_array(data: bytes) -> npt.NDArray[np.uint8]:
+def as_array(data: bytes | memoryview) -> npt.NDArray[np.uint8]:
     """Octets as rosbags wants them."""
     return np.frombuffer(data, np.uint8)
 
@@ -56,7 +56,7 @@ class RosFrame:
         types: Types,
         stamp_ns: int,
         frames: tuple[str, str] = (CAMERA_FRAME, ARM_FRAME),
-        octets: Callable[[bytes], Any] = as_array,
+        octets: Callable[[bytes | memoryview], Any] = as_array,
     ) -> None:
         self.types, self.octets = types, octets
         self.camera_frame, self.arm_frame = frames
@@ -84,8 +84,9 @@ class RosFrame:
         table = np.zeros(len(cloud), [(name, f"<{kind}") for name, kind in _POINT_FIELDS])
         for name in ("x", "y", "z", "ore_id", "score"):
             table[name] = cloud[name]
-        red, green, blue = (cloud[name].astype("<u4") for name in ("red", "green", "blue"))
-        table["rgb"] = ((red << 16) | (green << 8) | blue).astype("<u4").view("<f4")
+        octets = table.view(np.uint8).reshape(len(table), table.dtype.itemsize)
+        for place, name in enumerate(("blue", "green", "red"), table.dtype.fields["rgb"][1]):  # type: ignore[index]
+            octets[:, place] = cloud[name]
         fields = [
             self.types["sensor_msgs/msg/PointField"](
                 name=name, offset=4 * place, datatype=_POINT_KINDS[kind], count=1
@@ -101,7 +102,7 @@ class RosFrame:
             is_bigendian=False,
             point_step=step,
             row_step=step * len(table),
-            data=self.octets(table.tobytes()),
+            data=self.octets(octets.data),
             is_dense=True,
         )
 

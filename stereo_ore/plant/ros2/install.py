@@ -92,9 +92,11 @@ def domain() -> str:
     return f"domain {number}, discovery {os.environ.get(RANGE, 'as your ROS 2 says')}"
 
 
-def octets(data: bytes) -> array[int]:
+def octets(data: bytes | memoryview) -> array[int]:
     """What rclpy takes without looking at each octet."""
-    return array("B", data)
+    taken = array("B")
+    taken.frombytes(data)
+    return taken
 
 
 def has_transforms() -> bool:
