@@ -77,6 +77,12 @@ def run(
     clouds: Annotated[
         bool, typer.Option("--clouds/--no-clouds", help="Write clouds/FRAME.ply.")
     ] = True,
+    arm_clouds: Annotated[
+        bool,
+        typer.Option(
+            "--arm-clouds", help="Write arm_clouds/FRAME.ply too: the same in the arm's frame."
+        ),
+    ] = False,
     overlays: Annotated[
         bool, typer.Option("--overlays/--no-overlays", help="Write overlays/FRAME.png.")
     ] = True,
@@ -129,7 +135,7 @@ def run(
         require_matplotlib()
     options = RunOptions(
         start, stop, every, clouds, overlays, pictures, save_stages, report, resume, overwrite,
-        strict, workers, scheduler,
+        strict, workers, scheduler, arm_clouds,
     )  # fmt: skip
     parameters = load_config(
         config, [*(settings or ()), *([f"matching.fuse={fuse}"] if fuse else [])]
