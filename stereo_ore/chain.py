@@ -80,6 +80,7 @@ class Chain:
         self.rig = self.rectifier.rig
         self.region = matching.find_region(self.rig, self.site.volume, self.config.matching)
         filters.parameters(self.config.filter)
+        self.lumps = segment.load(self.config.models.lumps)
         self.empty = empty_screen.load(self.rig, self.region, self.site, self.config)
 
     def __call__(self, pair: StereoPair, *more: StereoPair) -> FrameResult:
@@ -169,7 +170,8 @@ class Chain:
     def _segment(self, disparity: Disparity, surface: Surface, screen: Grizzly) -> OreMap:
         if self.empty is not None:
             surface = empty_screen.new_on(self.empty, disparity, surface)
-        return segment.segment(surface, screen, self.site.volume, self.config.segment)
+        volume, config = self.site.volume, self.config.segment
+        return segment.segment(disparity, surface, screen, volume, config, self.lumps)
 
 
 class Trace:

@@ -145,3 +145,18 @@ def _row_heights(closed: Mask, row: np.ndarray, heights: F32, reach: int, cell: 
             if np.median(np.abs(mine - middle)) < FLAT * cell and abs(middle) < reach * cell / 2:
                 out[r] = middle
     return out
+
+
+def inside_screen(surface: Surface, relief: Relief, grizzly: Grizzly, opening_m: float) -> F32:
+    """How far (h, w) [openings, −1…1] points lie inside the screen's sides; 0 where none is.
+
+    All is inside where the bars are not known.
+    """
+    if (bars := grizzly.bars) is None:
+        return np.ones(relief.px.shape, np.float32)
+    inside = np.zeros(relief.px.shape, np.float32)
+    at = np.flatnonzero(np.isfinite(relief.px))
+    c, s = bar_coordinates(surface, bars, surface.xyz[..., 2].ravel()[at], at=at)
+    frame = find_frame(surface, relief, grizzly, bars)
+    inside.ravel()[at] = np.clip(frame.inside(c, s) / opening_m, -1, 1)
+    return inside
