@@ -171,7 +171,9 @@ def _shades(bgr: U8, size: tuple[int, int], window: int) -> tuple[F32, F32]:
     square = grey * grey
 
     def spread(side: int) -> F32:
-        return np.sqrt(np.maximum(_box(square, side) - _box(grey, side) ** 2, np.float32(0)))
+        variance = np.maximum(_box(square, side) - _box(grey, side) ** 2, np.float32(0))
+        return np.asarray(np.sqrt(variance), np.float32)
 
     even = np.clip((grey - _box(grey, window)) / (spread(window) + np.float32(3)), -3, 3)
-    return even / np.float32(2), (np.log(spread(CLOSE) + np.float32(0.5)) - np.float32(1.5)) / 1.5
+    texture = (np.log(spread(CLOSE) + np.float32(0.5)) - np.float32(1.5)) / np.float32(1.5)
+    return np.asarray(even / np.float32(2), np.float32), np.asarray(texture, np.float32)

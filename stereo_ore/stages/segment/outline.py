@@ -10,6 +10,8 @@ from stereo_ore.types import F32, I32, U8, Mask
 
 HOLES = (1.0, 3.0, 8.0)
 """Widths of the Gaussian of the relief; the first that finds enough measured pixels counts."""
+RIM = 3
+"""Pixels that are looked at around what may be ore."""
 FEW = 0.15
 """Share of measured pixels under a Gaussian below which a wider one is taken."""
 
@@ -40,7 +42,8 @@ def sharpened(labels: I32, grey: U8, relief: F32, relief_scale: float, band: int
     for heap, (x, y, w, h, _) in enumerate(stats.tolist()):
         if heap == 0:
             continue
-        box = np.s_[max(y - 1, 0) : y + h + 1, max(x - 1, 0) : x + w + 1]
+        # The watershed takes no notice of markers on the rim.
+        box = np.s_[max(y - RIM, 0) : y + h + RIM, max(x - RIM, 0) : x + w + RIM]
         mine = np.where(heaps[box] == heap, labels[box], 0).astype(np.int32)
         moved = _flooded(mine, smooth[box], steep[box], wide[box] > 0, near)
         room = (moved > 0) & (heaps[box] == heap)
@@ -57,7 +60,6 @@ def _flooded(labels: I32, grey: U8, steep: U8, wide: Mask, near: U8) -> I32:
     seeds = np.where(lost[labels], labels, seeds)
     markers = np.where(seeds > 0, seeds + 1, 0).astype(np.int32)
     markers[~wide] = 1
-    markers[[0, -1]], markers[:, [0, -1]] = 1, 1
     flooded = cv2.watershed(cv2.merge([grey, steep, steep]), markers)
     grown = np.where(flooded > 1, flooded - 1, 0)
     beside = cv2.dilate(grown.astype(np.float32), np.ones((3, 3), np.uint8)).astype(np.int32)

@@ -74,12 +74,15 @@ def train(
 
     def batch() -> tuple[Any, Any]:
         chosen = rng.choice(len(shares), BATCH, p=np.array(shares) / sum(shares))
-        made = [crop(examples[g][rng.integers(len(examples[g]))], rng) for g in chosen]
+        made = [
+            crop(examples[g][int(rng.integers(len(examples[g])))], rng) for g in map(int, chosen)
+        ]
         x, t = (torch.from_numpy(np.stack(column)) for column in zip(*made, strict=True))
         return x.contiguous(memory_format=torch.channels_last), t
 
     with ThreadPoolExecutor(1) as pool:
-        following, saved, total = pool.submit(batch), time.monotonic(), []
+        following, saved = pool.submit(batch), time.monotonic()
+        total: list[float] = []
         while course.seconds < 60 * minutes:
             start = time.monotonic()
             x, t = following.result()
@@ -96,7 +99,8 @@ def train(
             course.seconds += time.monotonic() - start
     save(course, checkpoint)
     course.net.load_state_dict(course.average)
-    return course.net.eval()
+    course.net.eval()
+    return course.net
 
 
 def _begin(checkpoint: Path) -> Course:
