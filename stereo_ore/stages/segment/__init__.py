@@ -10,7 +10,7 @@ from stereo_ore.stages.segment import channels, outputs, votes, whole
 from stereo_ore.stages.segment.frame import inside_screen
 from stereo_ore.stages.segment.lay import laid
 from stereo_ore.stages.segment.model import LumpModel, load
-from stereo_ore.stages.segment.outline import filled, renumbered, sharpened, smooth_relief
+from stereo_ore.stages.segment.outline import RIM, filled, renumbered, sharpened, smooth_relief
 from stereo_ore.stages.segment.relief import Relief, measure_relief
 from stereo_ore.types import (
     F64,
@@ -122,10 +122,20 @@ def _drawn(
 ) -> I32:
     """Labels with outlines on edges of image and relief, holes filled."""
     band = max(1, round(config.band * opening_px))
-    height = smooth_relief(relief.px, labels > 0, config.smooth_px)
+    rows, columns = (np.flatnonzero((labels > 0).any(axis)) for axis in (1, 0))
+    if not len(rows):
+        return labels
+    margin = band + RIM
+    box = np.s_[
+        max(rows[0] - margin, 0) : rows[-1] + margin + 1,
+        max(columns[0] - margin, 0) : columns[-1] + margin + 1,
+    ]
+    height = smooth_relief(relief.px[box], labels[box] > 0, config.smooth_px)
     weight = config.relief_weight / relief.sigma_px
-    grey = np.asarray(cv2.cvtColor(surface.bgr, cv2.COLOR_BGR2GRAY), np.uint8)
-    return filled(sharpened(labels, grey, height, weight, band))
+    grey = np.asarray(cv2.cvtColor(surface.bgr[box], cv2.COLOR_BGR2GRAY), np.uint8)
+    out = np.zeros_like(labels)
+    out[box] = filled(sharpened(labels[box], grey, height, weight, band))
+    return out
 
 
 def _on_the_screen(labels: I32, inside: np.ndarray) -> I32:

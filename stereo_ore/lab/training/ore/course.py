@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -50,8 +51,6 @@ def needs() -> None:
     ConfigError
         Naming the package.
     """
-    from importlib.util import find_spec
-
     for package in ("torch", "mujoco", "onnxscript"):
         if find_spec(package) is None:
             raise ConfigError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -103,7 +104,10 @@ def export(net: nn.Module, path: Path) -> None:
         2: torch.export.Dim("h16", min=2, max=256) * 16,
         3: torch.export.Dim("w16", min=2, max=256) * 16,
     }
-    torch.onnx.export(
-        net, (x,), str(path), opset_version=18, external_data=False, dynamic_shapes=(sides,),
-        input_names=["channels"], output_names=["lumps"], verbose=False,
-    )  # fmt: skip
+    with warnings.catch_warnings():
+        # The exporter warns of what its own libraries are about to change.
+        warnings.simplefilter("ignore")
+        torch.onnx.export(
+            net, (x,), str(path), opset_version=18, external_data=False, dynamic_shapes=(sides,),
+            input_names=["channels"], output_names=["lumps"], verbose=False,
+        )  # fmt: skip
