@@ -15,7 +15,7 @@ from stereo_ore.lab import synth
 from stereo_ore.stages import grizzly, segment
 from stereo_ore.stages.segment import channels, model, outputs, votes, whole
 from stereo_ore.stages.segment.lay import laid
-from stereo_ore.stages.segment.outline import sharpened, smooth_relief
+from stereo_ore.stages.segment.outline import sharpened
 from stereo_ore.types import Disparity, Grizzly, OreMap, Region, Rig, Site, Surface, Volume
 
 CONFIG = SegmentConfig()
@@ -313,22 +313,11 @@ def test_labels_are_laid_at_their_place_and_size():
 def test_outlines_move_to_edges_within_the_band_only():
     grey = np.full((80, 80), 60, np.uint8)
     grey[20:60, 20:60] = 180
-    relief = np.zeros(grey.shape, np.float32)
     for off, expected, error in ((3, 20, 1), (-3, 20, 1), (9, 11, 4)):
         labels = np.zeros(grey.shape, np.int32)
         labels[20 - off : 60 - off, 20 - off : 60 - off] = 1
-        top = int(np.flatnonzero(sharpened(labels, grey, relief, 1.0, 4).any(1))[0])
+        top = int(np.flatnonzero(sharpened(labels, np.dstack([grey] * 3), 4).any(1))[0])
         assert abs(top - expected) <= error
-
-
-def test_a_hole_in_a_lump_is_no_valley():
-    relief = np.full((80, 80), 6.0, np.float32)
-    relief[36:44, 36:44] = np.nan
-    mask = np.zeros(relief.shape, bool)
-    mask[10:70, 10:70] = True
-    smooth = smooth_relief(relief, mask, 1.5)
-    np.testing.assert_allclose(smooth[mask], 6.0, rtol=1e-4)
-    assert not smooth[~mask].any()
 
 
 def test_features_tell_a_whole_lump_from_a_part_of_one():

@@ -174,7 +174,7 @@ class SegmentConfig(StageConfig):
     )
     ore_probability: float = param(0.5, "pixels more likely ore than this are", gt=0, lt=1)
     agreement: float = param(
-        0.35, "share of a lump's votes that must agree on its middle and size", gt=0, lt=1
+        0.45, "share of a lump's votes that must agree on its middle and size", gt=0, lt=1
     )
     line_probability: float = param(
         0.3, "pixels more likely the contact of two lumps than this part them", gt=0, lt=1
@@ -192,13 +192,9 @@ class SegmentConfig(StageConfig):
         0.3, "share of a lump's pixels that the filter kept in the working volume", ge=0, lt=1
     )
     band: float = param(
-        0.03,
+        0.06,
         "band on either side of an outline within which the image may move it, in openings",
         gt=0,
-    )
-    smooth_px: float = param(1.5, "standard deviation of the smoothing of the relief", "px", gt=0)
-    relief_weight: float = param(
-        6.7, "grey levels that a standard deviation of relief is worth in the outline", gt=0
     )
     default_opening_m: float = param(
         0.3, "scale of the lumps when no opening is known", "m", gt=0, le=3

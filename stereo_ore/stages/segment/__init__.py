@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from stereo_ore.config import SegmentConfig
@@ -10,12 +9,12 @@ from stereo_ore.stages.segment import channels, outputs, votes, whole
 from stereo_ore.stages.segment.frame import inside_screen
 from stereo_ore.stages.segment.lay import laid
 from stereo_ore.stages.segment.model import LumpModel, load
-from stereo_ore.stages.segment.outline import RIM, filled, renumbered, sharpened, smooth_relief
-from stereo_ore.stages.segment.relief import Relief, measure_relief
+from stereo_ore.stages.segment.outline import RIM, filled, renumbered, sharpened
 from stereo_ore.types import (
     F64,
     I16,
     I32,
+    U8,
     Disparity,
     Grizzly,
     Mask,
@@ -69,9 +68,9 @@ def segment(
     counts = dict.fromkeys(("parts", "dropped_small", "dropped_unlike"), 0)
     if not measured.any():
         return _ore_map(surface, labels, counts)
-    relief = measure_relief(surface, screen)
     opening = screen.opening_m or config.default_opening_m
-    opening_px = opening / relief.pixel_m
+    pixel_m = channels.pixel_m(disparity, surface, screen)
+    opening_px = opening / pixel_m
     region = _around(measured, disparity.region, MARGIN * opening_px)
     small, likely = _named(
         channels.measure(disparity, surface, screen, opening, region), config, model
@@ -81,11 +80,11 @@ def segment(
         region.x0 - surface.x0 : region.x1 - surface.x0,
     ]
     labels[box] = laid(small, (region.x1 - region.x0, region.y1 - region.y0))
-    labels = _drawn(labels, surface, relief, opening_px, config)
+    labels = _drawn(labels, surface.bgr, max(1, round(config.band * opening_px)))
     if volume is None:
-        labels = _on_the_screen(labels, inside_screen(surface, relief, screen, opening))
+        labels = _on_the_screen(labels, inside_screen(surface, screen, opening))
     counts["parts"] = int(small.max(initial=0))
-    keep, dropped = _selected(labels, measured, likely, relief, config)
+    keep, dropped = _selected(labels, measured, likely, pixel_m, config)
     return _ore_map(surface, renumbered(labels, keep), counts | dropped)
 
 
@@ -117,24 +116,17 @@ def _named(seen: channels.Channels, config: SegmentConfig, model: LumpModel) -> 
     return numbered, np.concatenate([[0.0], likely])
 
 
-def _drawn(
-    labels: I32, surface: Surface, relief: Relief, opening_px: float, config: SegmentConfig
-) -> I32:
-    """Labels with outlines on edges of image and relief, holes filled."""
-    band = max(1, round(config.band * opening_px))
+def _drawn(labels: I32, bgr: U8, band: int) -> I32:
+    """Labels with outlines on edges of the image, holes filled."""
     rows, columns = (np.flatnonzero((labels > 0).any(axis)) for axis in (1, 0))
     if not len(rows):
         return labels
-    margin = band + RIM
+    margin, out = band + RIM, np.zeros_like(labels)
     box = np.s_[
         max(rows[0] - margin, 0) : rows[-1] + margin + 1,
         max(columns[0] - margin, 0) : columns[-1] + margin + 1,
     ]
-    height = smooth_relief(relief.px[box], labels[box] > 0, config.smooth_px)
-    weight = config.relief_weight / relief.sigma_px
-    grey = np.asarray(cv2.cvtColor(surface.bgr[box], cv2.COLOR_BGR2GRAY), np.uint8)
-    out = np.zeros_like(labels)
-    out[box] = filled(sharpened(labels[box], grey, height, weight, band))
+    out[box] = filled(sharpened(labels[box], bgr[box], band))
     return out
 
 
@@ -147,13 +139,13 @@ def _on_the_screen(labels: I32, inside: np.ndarray) -> I32:
 
 
 def _selected(
-    labels: I32, measured: Mask, likely: F64, relief: Relief, config: SegmentConfig
+    labels: I32, measured: Mask, likely: F64, pixel_m: float, config: SegmentConfig
 ) -> tuple[Mask, dict[str, int]]:
     """Which labels 0…n are lumps, and how many are none for being small or unlike one."""
     count = len(likely)
     area = np.bincount(labels.ravel(), minlength=count)
     kept = np.bincount(labels.ravel(), measured.ravel(), count) / np.maximum(area, 1)
-    large = area >= max((config.min_size_m / relief.pixel_m) ** 2, config.min_pixels)
+    large = area >= max((config.min_size_m / pixel_m) ** 2, config.min_pixels)
     rim = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
     doubtful = area < config.small_pixels
     doubtful[rim] = True

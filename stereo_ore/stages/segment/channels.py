@@ -99,12 +99,16 @@ def measure(
 
 def _scale(disparity: Disparity, surface: Surface, screen: Grizzly, opening_m: float) -> float:
     """Pixels of the channels over pixels of the camera: the opening spans `UNIT` in the middle."""
+    return float(np.clip(UNIT * pixel_m(disparity, surface, screen) / opening_m, LEAST_SCALE, 1.0))
+
+
+def pixel_m(disparity: Disparity, surface: Surface, screen: Grizzly) -> float:
+    """Size [m] of a pixel on the screen, in the middle of the matched rectangle."""
     rig, plane, r = surface.rig, screen.plane, disparity.region
     middle = np.array(
         [((r.x0 + r.x1) / 2 - rig.cx) / rig.fx, ((r.y0 + r.y1) / 2 - rig.cy) / rig.fy, 1]
     )
-    depth = max(plane.offset / min(float(plane.normal @ middle), -1e-3), 1e-3)
-    return float(np.clip(UNIT * depth / (rig.fx * opening_m), LEAST_SCALE, 1.0))
+    return max(plane.offset / min(float(plane.normal @ middle), -1e-3), 1e-3) / rig.fx
 
 
 def _in_plane(normal: F64) -> tuple[F64, F64]:

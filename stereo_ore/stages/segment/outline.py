@@ -1,4 +1,4 @@
-"""Outlines: labels moved to the edges of image and relief, filled and numbered."""
+"""Outlines: labels moved to the edges of the image, filled and numbered."""
 
 from __future__ import annotations
 
@@ -6,36 +6,28 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
-from stereo_ore.types import F32, I32, U8, Mask
+from stereo_ore.types import I32, U8, Mask
 
-HOLES = (1.0, 3.0, 8.0)
-"""Widths of the Gaussian of the relief; the first that finds enough measured pixels counts."""
 RIM = 3
 """Pixels that are looked at around what may be ore."""
-FEW = 0.15
-"""Share of measured pixels under a Gaussian below which a wider one is taken."""
 
 
-def sharpened(labels: I32, grey: U8, relief: F32, relief_scale: float, band: int) -> I32:
-    """Labels whose outlines moved to edges of image and relief, by `band` pixels at most.
+def sharpened(labels: I32, bgr: U8, band: int) -> I32:
+    """Labels whose outlines moved to edges of the image, by `band` pixels at most.
 
-    Watershed on grey level and relief together, from what is farther than the band inside a label
-    or outside all of them.
+    Watershed from what is farther than the band inside a label or outside all of them. Adding the
+    relief made outlines worse: the matching window smears its steps.
 
     Parameters
     ----------
     labels : (h, w) int32
         Lumps 1…n.
-    grey : (h, w) uint8
-    relief : (h, w) float32
-        Smoothed relief [px].
-    relief_scale : float
-        Grey levels that one pixel of disparity is worth.
+    bgr : (h, w, 3) uint8
     band : int
         How uncertain outlines are [px].
     """
-    out, steep = np.zeros_like(labels), np.clip(relief * relief_scale, 0, 255).astype(np.uint8)
-    smooth = np.asarray(cv2.GaussianBlur(grey, (0, 0), 1), np.uint8)
+    out = np.zeros_like(labels)
+    smooth = np.asarray(cv2.GaussianBlur(bgr, (0, 0), 1), np.uint8)
     near = np.ones((2 * band + 1, 2 * band + 1), np.uint8)
     wide = cv2.dilate((labels > 0).astype(np.uint8), near)
     _, heaps, stats, _ = cv2.connectedComponentsWithStats(wide, connectivity=4)
@@ -45,13 +37,13 @@ def sharpened(labels: I32, grey: U8, relief: F32, relief_scale: float, band: int
         # The watershed takes no notice of markers on the rim.
         box = np.s_[max(y - RIM, 0) : y + h + RIM, max(x - RIM, 0) : x + w + RIM]
         mine = np.where(heaps[box] == heap, labels[box], 0).astype(np.int32)
-        moved = _flooded(mine, smooth[box], steep[box], wide[box] > 0, near)
+        moved = _flooded(mine, smooth[box], wide[box] > 0, near)
         room = (moved > 0) & (heaps[box] == heap)
         out[box][room] = moved[room]
     return out
 
 
-def _flooded(labels: I32, grey: U8, steep: U8, wide: Mask, near: U8) -> I32:
+def _flooded(labels: I32, bgr: U8, wide: Mask, near: U8) -> I32:
     """Watershed of one heap; what is not `wide` is no lump."""
     values = labels.astype(np.float32)
     inner = (cv2.erode(values, near) == values) & (cv2.dilate(values, near) == values)
@@ -60,28 +52,10 @@ def _flooded(labels: I32, grey: U8, steep: U8, wide: Mask, near: U8) -> I32:
     seeds = np.where(lost[labels], labels, seeds)
     markers = np.where(seeds > 0, seeds + 1, 0).astype(np.int32)
     markers[~wide] = 1
-    flooded = cv2.watershed(cv2.merge([grey, steep, steep]), markers)
+    flooded = cv2.watershed(np.ascontiguousarray(bgr), markers)
     grown = np.where(flooded > 1, flooded - 1, 0)
     beside = cv2.dilate(grown.astype(np.float32), np.ones((3, 3), np.uint8)).astype(np.int32)
     return np.where(flooded == -1, beside, grown).astype(np.int32)
-
-
-def smooth_relief(relief: F32, mask: Mask, sigma: float) -> F32:
-    """Gaussian mean of the relief over the mask's measured pixels; 0, the plane, outside the mask.
-
-    Where hardly any pixel near by was measured the Gaussian is wider, so that a hole is no valley.
-    """
-    weight = (np.isfinite(relief) & mask).astype(np.float32)
-    value = np.where(weight > 0, relief, 0).astype(np.float32)
-    mean, bare = np.zeros_like(value), mask
-    for width in HOLES:
-        share = np.asarray(cv2.GaussianBlur(weight, (0, 0), width * sigma), np.float32)
-        near = bare & (share > FEW)
-        mean[near] = cv2.GaussianBlur(value, (0, 0), width * sigma)[near] / share[near]
-        bare = bare & ~near
-        if not bare.any():
-            break
-    return mean
 
 
 def filled(labels: I32) -> I32:
