@@ -91,12 +91,12 @@ def quality(
         overlap = row.overlap[:, keep]
         pairs = dict(metrics.best_pairs(overlap))
         given += int(keep.sum())
-        false += int(keep.sum()) - sum(overlap[i, j] >= GOOD for i, j in pairs.items())
+        false += int(keep.sum()) - sum(bool(overlap[i, j] >= GOOD) for i, j in pairs.items())
         for i, kind in _wanted(example, row.lumps):
             found = float(overlap[i, pairs[i]]) if i in pairs else 0.0
             overlaps.append(found)
             wanted += 1
-            kinds[kind][0] += found >= GOOD
+            kinds[kind][0] += int(found >= GOOD)
             kinds[kind][1] += 1
     found = sum(o >= GOOD for o in overlaps)
     return {
