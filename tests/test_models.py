@@ -1,4 +1,4 @@
-"""The network of lumps that a run uses: chosen by folder, named when it is none, told in run.json."""
+"""The network of lumps that a run uses: chosen by folder, refused by name, told in run.json."""
 
 import json
 from pathlib import Path
