@@ -19,6 +19,7 @@ from stereo_ore.stages import (
     cloud,
     empty_screen,
     filters,
+    foreign,
     grizzly,
     health,
     matching,
@@ -27,6 +28,7 @@ from stereo_ore.stages import (
     rectify,
     segment,
     solid,
+    stack,
     strike,
     surroundings,
     voxels,
@@ -50,6 +52,8 @@ from stereo_ore.types import (
 )
 
 COUNTS = ("pixels", "disparities", "points", "voxels", "kept", "ores", "targets")
+
+NOTHING = foreign.Foreign(np.zeros((0, 0), np.bool_), np.zeros((0, 3)))
 
 Value = TypeVar("Value")
 
@@ -82,6 +86,7 @@ class Chain:
         filters.parameters(self.config.filter)
         self.lumps = segment.load(self.config.models.lumps)
         self.empty = empty_screen.load(self.rig, self.region, self.site, self.config)
+        self.withheld = tuple(health.missing_in_site(self.site))
 
     def __call__(self, pair: StereoPair, *more: StereoPair) -> FrameResult:
         """Return what one pair shows, or one and `more` of the same still scene measured together.
@@ -90,6 +95,7 @@ class Chain:
         other than "ok", and the reason. The self-checks run on other threads beside the chain.
         """
         trace = Trace()
+        trace.remark(self.withheld, withhold=bool(self.withheld))
         with trace.until_a_fault():
             self._follow(trace, pair, more)
         return trace.result(pair)
@@ -108,21 +114,39 @@ class Chain:
         grid = trace.reached("voxels", surroundings.look_around(grid, disparity, eyes))
         filtered = trace.reached("filter", filters.apply(grid, config.filter))
         kept = filtered.keep[grid.inverse]
-        surface = trace.reached("surface", cloud.surface(points, kept, eyes, disparity.region))
+        surface = cloud.surface(points, kept, eyes, disparity.region)
+        alien = foreign.places(surface, site.keep_out)
+        surface = trace.reached("surface", foreign.without(surface, alien))
         screen = trace.reached("grizzly", replace(self._screen(surface), registration=moved))
         trace.check(health.bar_doubts, moved, screen.opening_m, config.health)
         if screen.source != "auto":
             trace.check(health.screen_doubts, surface, screen.plane, config.grizzly, config.health)
         parts = health.judge_parts(disparity, self.rig, screen)
         trace.check(health.row_doubts, parts, config.health)
-        ore_map = trace.reached("segment", self._segment(disparity, surface, screen))
+        opening_m = screen.opening_m or config.segment.default_opening_m
+        alien = foreign.find(surface, screen, opening_m, alien, config.foreign)
+        trace.reached("foreign", alien)
+        too_much = alien.found_share > config.foreign.max_share
+        trace.remark(foreign.doubts(alien), withhold=too_much)
+        surface = foreign.without(surface, alien)
+        ore_map = foreign.cleared(self._segment(disparity, surface, screen), alien, surface)
+        trace.reached("segment", ore_map)
         solids = trace.reached("solids", solid.solids(surface, ore_map, screen, config.solid))
         plans = strike.plans(surface, ore_map, solids, screen, site, config.strike)
         plans = trace.reached(
             "strikes", health.without_doubtful(plans, solids, ore_map, disparity, screen, parts)
         )
+        plans = foreign.clear_of(plans, alien, opening_m, config.foreign)
         targets = order.order(solids, plans, site, config.order)
-        found = ores.describe(surface, ore_map, solids, plans, site)
+        found = ores.describe(
+            surface,
+            ore_map,
+            solids,
+            plans,
+            site,
+            order.passing(solids, config.order),
+            stack.carried(solids, screen.plane),
+        )
         trace.reached("ores", (found, targets))
 
     def _match(self, eyes: RectifiedPair, more: Sequence[StereoPair]) -> Disparity:
@@ -155,11 +179,8 @@ class Chain:
         config, volume = self.config, self.site.volume
         points = cloud.reproject(disparity, eyes, volume, config.cloud, config.matching.sigma_px)
         if not len(points):
-            raise FrameError(
-                "no point lies in the working volume",
-                code="NO_POINTS",
-                remedy="Check site and calibration",
-            )
+            nearest_m = cloud.nearest_beyond(disparity, eyes, volume, config.cloud)
+            raise _no_points(nearest_m, config.cloud.max_depth_m)
         return points
 
     def _screen(self, surface: Surface) -> Grizzly:
@@ -174,12 +195,29 @@ class Chain:
         return segment.segment(disparity, surface, screen, volume, config, self.lumps)
 
 
+def _no_points(nearest_m: float | None, max_depth_m: float) -> FrameError:
+    """Why a cloud is empty; `nearest_m` is what lies nearest of what the depth limit took away."""
+    if nearest_m is None:
+        problem, key, remedy = "no point lies in the working volume", None, _CHECK
+    else:
+        problem = (
+            f"all points are farther than {max_depth_m:g} m; the nearest lies at {nearest_m:.4g} m"
+        )
+        key, remedy = "cloud.max_depth_m", f"Set it to what the site needs. {_CHECK}"
+    return FrameError(problem, code="NO_POINTS", key=key, remedy=remedy)
+
+
+_CHECK = "Check site and calibration"
+
+
 class Trace:
     """The way of one frame through the chain: what was reached, when, and what speaks against
     it.
     """
 
     def __init__(self) -> None:
+        self._remarks: list[Reason] = []
+        self._withheld = False
         self._reached: dict[str, Any] = {}
         self._stages_ms: dict[str, float] = {}
         self._checks: list[Future[tuple[Reason, ...]]] = []
@@ -195,6 +233,11 @@ class Trace:
     def check(self, check: Callable[..., Iterable[Reason]], *arguments: Any) -> None:
         """Begin a self-check on another thread, beside the stages that follow."""
         self._checks.append(pool().submit(lambda: tuple(check(*arguments))))
+
+    def remark(self, reasons: Iterable[Reason], withhold: bool) -> None:
+        """Note what is no fault of the frame; its targets may be withheld for it."""
+        self._remarks.extend(reasons)
+        self._withheld |= withhold
 
     @contextmanager
     def until_a_fault(self) -> Iterator[None]:
@@ -219,7 +262,9 @@ class Trace:
         elif status == "ok" and not found:
             status = "empty"
             reasons.append(Reason("NO_ORE", "no lump on the screen"))
-        targets = targets if status == "ok" else ()
+        if status != "failed":
+            reasons.extend(self._remarks)
+        targets = targets if status == "ok" and not self._withheld else ()
         return self._filled(pair, status, tuple(reasons), found, targets)
 
     def _filled(
@@ -246,6 +291,7 @@ class Trace:
             surface=get("surface"),
             grizzly=get("grizzly"),
             ore_map=get("segment"),
+            foreign=get("foreign", NOTHING).bodies,
             ores=found,
             targets=targets,
             stages_ms=self._stages_ms,

@@ -75,5 +75,7 @@ def _segment(result: FrameResult) -> Iterator[Loss]:
     told = result.ore_map.diagnostics
     detail = "smaller than segment.min_size_m or segment.min_pixels"
     yield Loss("segment", "TOO_SMALL", told.get("dropped_small", 0), "parts", detail)
+    detail = "are parts of a foreign body, not lumps"
+    yield Loss("segment", "FOREIGN_BODY", told.get("dropped_foreign", 0), "parts", detail)
     detail = "stand out, but do not look like a lump"
     yield Loss("segment", "UNLIKE_A_LUMP", told.get("dropped_unlike", 0), "parts", detail)

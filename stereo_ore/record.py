@@ -12,7 +12,17 @@ from typing import Any
 import numpy.typing as npt
 
 from stereo_ore.losses import losses
-from stereo_ore.types import FrameResult, Grizzly, Ore, Reason, Registration, Site, Solid, Strike
+from stereo_ore.types import (
+    ForeignBody,
+    FrameResult,
+    Grizzly,
+    Ore,
+    Reason,
+    Registration,
+    Site,
+    Solid,
+    Strike,
+)
 
 SCHEMA = "stereo_ore/frame/2"
 DECIMALS = 6
@@ -40,6 +50,7 @@ def record(result: FrameResult, site: Site) -> Json:
         "counts": dict(result.counts),
         "losses": [vars(loss) for loss in losses(result)],
         "grizzly": _grizzly(result.grizzly),
+        "foreign": [_foreign(body) for body in result.foreign],
         "ores": [_ore(ore) for ore in result.ores],
         "targets": list(result.targets),
     }
@@ -92,6 +103,16 @@ def _registration(moved: Registration | None) -> Json | None:
     }
 
 
+def _foreign(body: ForeignBody) -> Json:
+    return {
+        "name": body.name,
+        "source": body.source,
+        "pixels": body.pixels,
+        "share": number(body.share),
+        "outline_px": body.outline_px.tolist(),
+    }
+
+
 def _in_frames(part: Ore | Solid | Strike, vector: str) -> Json:
     """A vector of a lump in the camera's and, where it is known, the arm's frame."""
     arm = None if part.arm is None else numbers(getattr(part.arm, vector))
@@ -109,6 +130,8 @@ def _ore(ore: Ore) -> Json:
         "points": ore.points,
         "pixels": ore.pixels,
         "cut": ore.cut,
+        "carries": list(ore.carries),
+        "carried_by": list(ore.carried_by),
         "surface_centroid": _in_frames(ore, "surface_centroid"),
         **_solid(solid),
         "strike": strike,

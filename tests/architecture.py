@@ -73,6 +73,7 @@ FACE = "face"
 CORE = frozenset(
     (
         "chain",
+        "installation",
         "losses",
         "types",
         "config",
@@ -80,6 +81,7 @@ CORE = frozenset(
         "transforms",
         "planes",
         "threads",
+        "times",
         "network",
         "stages",
         "version",

@@ -18,12 +18,13 @@ from typing import Any
 
 from stereo_ore.errors import FrameError
 from stereo_ore.plant.frames import LiveFrame
+from stereo_ore.plant.live_folder import LiveFolder
 from stereo_ore.plant.loop import serve
 from stereo_ore.plant.publisher import Publisher
 from stereo_ore.plant.sinks.message import Message, Origin, message
 from stereo_ore.plant.status import Status
 from stereo_ore.plant.watch import FolderWatch
-from stereo_ore.runs.folder import FrameLines, RunFolder
+from stereo_ore.runs.folder import FrameLines
 
 
 def make_ore(id: int, index: int = 0) -> dict[str, Any]:
@@ -151,9 +152,9 @@ def running(
     """A live run with the stub in a thread; gives its status, publisher and stop event; finished at
     the end."""
     stop = threading.Event()
-    with RunFolder(out, {"source": source.name}, resume=True, overwrite=False) as folder:
+    with LiveFolder(out, {"source": source.name}) as folder:
         with Publisher(sinks, valid_for_s) as publisher:
-            status = Status(source, publisher)
+            status = Status(source, publisher, lambda: folder.alarm)
             arguments = (
                 source,
                 lambda frame: lines_of(frame, **record),

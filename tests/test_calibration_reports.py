@@ -13,7 +13,7 @@ import yaml
 from rigs import SIZE, example_rig, same, write_opencv, write_ros
 
 from stereo_ore.errors import CalibrationError
-from stereo_ore.io.calibration import load, save
+from stereo_ore.io.calibration import FORMATS, load, save
 from stereo_ore.io.calibration.formats import tell_unread
 from stereo_ore.io.calibration.geometry import rotation_vector
 from stereo_ore.stages.rectify import make_rectifier
@@ -310,6 +310,29 @@ def test_no_reader_drops_one_unknown_lens_entry(
     else:
         told = caplog.text if same(plain, read) else key
     assert key.lower() in told.lower()
+
+
+def test_every_reader_is_asked() -> None:
+    assert LINES.keys() | {"colmap"} == FORMATS.keys(), "COLMAP's entries have no names"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("0.0005", "0.0005 0.1", r"cameras\.txt: camera 2: .*8 numbers"),
+        ("2 OPENCV", "2 THIN_PRISM_FISHEYE", r"THIN_PRISM_FISHEYE' is none of"),
+    ],
+)
+def test_a_camera_of_colmap_has_the_numbers_of_its_model_and_no_more(
+    old: str, new: str, words: str, tmp_path: Path
+) -> None:
+    for folder in (CORPUS.parent / "beside", CORPUS / "colmap"):
+        for file in folder.glob("*.txt"):
+            shutil.copyfile(file, tmp_path / file.name)
+    cameras = tmp_path / "cameras.txt"
+    cameras.write_text(cameras.read_text().replace(old, new))
+    with pytest.raises(CalibrationError, match=words):
+        load(tmp_path / "rigs.txt")
 
 
 def test_two_sets_of_coefficients_that_differ_are_refused(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """`calibrate check`: right calibrations pass, every known misreading is caught."""
 
+import re
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -248,6 +249,44 @@ def test_a_constant_offset_is_found_and_mended(plane_rig, shift: int, count: int
     assert result.measured[0].offset_px == pytest.approx(-shift, abs=0.3)
     mended = replace(rig, disparity_offset_px=-float(shift))
     assert check_pair(moved, mended, known[:count]).verdict != "wrong"
+
+
+def test_an_offset_that_turns_all_disparities_negative_is_no_swap_of_the_eyes(plane_rig) -> None:
+    pair, rig, known = plane_rig
+    right = np.full_like(pair.right, 128)
+    right[:, 80:] = pair.right[:, :-80]
+    moved = replace(pair, right=right)
+    result = check_pair(moved, replace(rig, disparity_offset_px=80.0), known[:1])
+    plain = check_pair(pair, rig, known)
+    assert (result.verdict, result.findings) == ("good", ())
+    assert result.residual.disparity_px == pytest.approx(plain.residual.disparity_px, abs=2)
+
+
+def test_one_picture_for_both_eyes_is_no_good_calibration(plane_rig) -> None:
+    pair, rig, _ = plane_rig
+    result = check_pair(replace(pair, right=pair.left), rig)
+    assert [(finding.code, finding.severity) for finding in result.findings] == [
+        ("NO_DEPTH", "wrong")
+    ]
+
+
+@pytest.mark.parametrize("eyes", ["flat", "noise", "one picture", "one corner", "swapped"])
+def test_what_is_not_known_is_not_printed_as_nan(eyes: str, plane_rig) -> None:
+    pair, rig, known = plane_rig
+    flat, rng = np.full_like(pair.left, 128), np.random.default_rng(0)
+    corner = [
+        np.where(np.indices(flat.shape)[0] < 40, eye, flat) for eye in (pair.left, pair.right)
+    ]
+    left, right = {
+        "flat": (flat, flat),
+        "noise": [rng.integers(0, 255, flat.shape, np.uint8) for _ in range(2)],
+        "one picture": (pair.left, pair.left),
+        "one corner": corner,
+        "swapped": (pair.right, pair.left),
+    }[eyes]
+    measured = known if eyes == "one picture" else ()
+    text = report(check_pair(replace(pair, left=left, right=right), rig, measured))
+    assert not re.search(r"\b(nan|inf)\b", text), text
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stereo_ore.config import CloudConfig
-from stereo_ore.stages.cloud import reproject, surface
+from stereo_ore.stages.cloud import nearest_beyond, reproject, surface
 from stereo_ore.types import Disparity, RectifiedPair, Region, Rig, Volume
 
 SIGMA = 0.2
@@ -110,6 +110,16 @@ def test_a_surface_is_the_kept_points_in_their_pixels(flat_plane_pair) -> None:
         np.testing.assert_allclose(pair.rig.project(laid.xyz[i, j]), [40 + j, 20 + i], atol=1e-3)
     np.testing.assert_array_equal(laid.bgr, pair.left[region.slices])
     assert not np.shares_memory(laid.bgr, pair.left)
+
+
+def test_what_the_depth_limit_alone_keeps_out_is_told(flat_plane_pair) -> None:
+    pair, config = flat_plane_pair.pair, CloudConfig(max_depth_m=0.5)
+    disparity = certain(flat_plane_pair.disparity, whole(pair.rig))
+    depths = pair.rig.depth(flat_plane_pair.disparity)
+    assert not len(reproject(disparity, pair, None, config, SIGMA))
+    assert nearest_beyond(disparity, pair, None, config) == pytest.approx(depths.min(), rel=1e-6)
+    away = box([-9, -9, 50], [9, 9, 60])
+    assert nearest_beyond(disparity, pair, away, config) is None
 
 
 @pytest.mark.parametrize("depth", [0.5, 3.0])

@@ -82,6 +82,40 @@ def test_a_malformed_setting_is_a_config_error(setting: str) -> None:
         load_config(None, [setting])
 
 
+LENGTHS = {
+    "cloud.max_depth_m": 20.0,
+    "voxel.size_m": 0.007,
+    "grizzly.distance_m": 0.01,
+    "segment.min_size_m": 0.04,
+    "segment.default_opening_m": 0.3,
+    "strike.tool_diameter_m": 0.04,
+    "strike.clearance_m": 0.005,
+    "strike.max_roughness_m": 0.006,
+}
+"""Usual values [m]."""
+
+
+def test_the_lengths_of_these_tests_are_all_there_are() -> None:
+    config = Config()
+    found = {
+        f"{stage}.{name}"
+        for stage in type(config).model_fields
+        for name in getattr(type(getattr(config, stage)), "model_fields", {})
+        if name.endswith("_m")
+    }
+    assert found == LENGTHS.keys()
+
+
+@pytest.mark.parametrize("key", LENGTHS)
+def test_a_length_in_millimetres_is_asked_about(key: str) -> None:
+    assert load_config(None, [f"{key}={LENGTHS[key]}"])
+    with pytest.raises(ConfigError, match=rf"{key}: .*millimetres given for metres\?"):
+        load_config(None, [f"{key}={1000 * LENGTHS[key]}"])
+    for wrong in ("-0.01", ".nan", ".inf"):
+        with pytest.raises(ConfigError, match=key):
+            load_config(None, [f"{key}={wrong}"])
+
+
 def test_a_missing_file_names_itself(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"absent\.yaml: no such file"):
         load_config(tmp_path / "absent.yaml")

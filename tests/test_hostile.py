@@ -781,4 +781,4 @@ def test_pipes_in_a_watched_folder_hold_nobody_up(scene: Path, tmp_path: Path) -
     frames = FolderWatch(tmp_path, poll_s=0.02, patience_s=0.2).frames(
         Position(), threading.Event()
     )
-    assert [next(frames).name for _ in range(2)] == ["000000", "000001"]
+    assert [next(frames).name for _ in range(2)] == ["000001", "000000"]

@@ -10,7 +10,8 @@ import pytest
 
 from stereo_ore.errors import FrameError, SourceError
 from stereo_ore.io.recordings import BagOptions, describe, expect_eyes, open_source, open_two_files
-from stereo_ore.io.recordings.layouts import LAYOUTS, Layout, may_be_eye
+from stereo_ore.io.recordings.images import IMAGE_SUFFIXES
+from stereo_ore.io.recordings.layouts import LAYOUTS, Layout, list_files, may_be_eye
 from stereo_ore.io.recordings.topics import choose_topics, is_rectified
 from stereo_ore.plant.arrivals import arrivals
 
@@ -73,10 +74,16 @@ def test_each_layout_below_folders_of_sequences(layout: Layout, tmp_path: Path) 
 def test_each_layout_as_it_arrives(layout: Layout, tmp_path: Path) -> None:
     """A watched folder gives the same names, and waits for the other eye."""
     write(tmp_path, named(layout.left), named(layout.right))
-    assert [arrival.name for arrival in arrivals(tmp_path, ())] == list(open_source(tmp_path).names)
-    assert all(arrival.paired for arrival in arrivals(tmp_path, ()))
+    assert [
+        arrival.name for arrival in arrivals(tmp_path, list_files(tmp_path, IMAGE_SUFFIXES))
+    ] == list(open_source(tmp_path).names)
+    assert all(
+        arrival.paired for arrival in arrivals(tmp_path, list_files(tmp_path, IMAGE_SUFFIXES))
+    )
     (tmp_path / f"{named(layout.right)(1)}.png").unlink()
-    assert not all(arrival.paired for arrival in arrivals(tmp_path, ()))
+    assert not all(
+        arrival.paired for arrival in arrivals(tmp_path, list_files(tmp_path, IMAGE_SUFFIXES))
+    )
 
 
 OTHER = {

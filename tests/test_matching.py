@@ -215,25 +215,30 @@ def slab(low: float, high: float, half: float = 0.3, x: float = 0.0) -> Volume:
 @given(
     st.floats(0.0, 1.0),
     st.floats(-0.5, 0.5),
-    st.floats(0.8, 2.0),
+    st.floats(0.3, 2.0),
     st.floats(0.05, 0.4),
     st.floats(-0.6, 0.6),
+    st.floats(-80.0, 80.0),
+    st.floats(-40.0, 40.0),
 )
 @settings(deadline=None, max_examples=60)
 def test_all_of_the_volume_that_is_in_view_is_in_the_region(
-    tilt: float, roll: float, distance: float, half: float, x: float
+    tilt: float, roll: float, distance: float, half: float, x: float, doffs: float, offset: float
 ) -> None:
+    """Whatever is added to its disparities before they are depths."""
+    rig = replace(RIG, doffs_px=doffs, disparity_offset_px=offset)
     R = cv2.Rodrigues(np.array([tilt, roll, 0.0]))[0]
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = R, -R @ [x, 0.0, distance]
     volume = Volume(T, np.array([-half, -half, -0.1]), np.array([half, half, 0.2]))
     grid = np.random.default_rng(0).uniform(volume.min_m, volume.max_m, (4000, 3))
     points = (grid - T[:3, 3]) @ R
-    uv, d = RIG.project(points), RIG.disparity(points[:, 2])
-    seen = (uv >= 0).all(1) & (uv <= [RIG.width - 1, RIG.height - 1]).all(1) & (d < 96)
+    uv, d = rig.project(points), rig.disparity(points[:, 2]) - offset  # as it is measured
+    reach = 96 + max(0.0, -doffs - offset)
+    seen = (uv >= 0).all(1) & (uv <= [RIG.width - 1, RIG.height - 1]).all(1) & (d < reach)
     if not seen.any():
         return
-    region = matching.find_region(RIG, volume, CONFIG)
+    region = matching.find_region(rig, volume, CONFIG)
     assert (uv[seen] >= [region.x0, region.y0]).all()
     assert (uv[seen] <= [region.x1, region.y1]).all()
     assert region.min_disparity <= d[seen].min()
@@ -264,6 +269,14 @@ def test_a_volume_around_the_camera_is_cut_at_the_nearest_searched_disparity() -
 def test_a_volume_out_of_view_is_refused(volume: Volume) -> None:
     with pytest.raises(ConfigError, match="working_volume"):
         matching.find_region(RIG, volume, CONFIG)
+
+
+def test_a_volume_nearer_than_the_search_is_told_as_such() -> None:
+    with pytest.raises(ConfigError, match=r"in view, but nearer than the 0\.375 m that 96 disp"):
+        matching.find_region(RIG, slab(0.1, 0.25, 0.02), CONFIG)
+    given = MatchingConfig(num_disparities=256)
+    region = matching.find_region(RIG, slab(0.15, 0.25, 0.02), given)
+    assert region.min_disparity + region.num_disparities > RIG.disparity(0.15)
 
 
 def test_without_a_volume_the_whole_image_and_a_fifth_of_its_width_are_searched() -> None:

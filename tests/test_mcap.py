@@ -205,6 +205,21 @@ def test_overlay_is_the_file(folder: Path, messages: dict[str, list[tuple[int, A
     assert message.data.tobytes() == (folder / "overlays" / "000000.png").read_bytes()
 
 
+def test_the_record_says_where_stamps_are_from(tmp_path: Path) -> None:
+    known = {"schema": "stereo_ore/frame/2", "losses": [], "grizzly": None}
+    known |= {"stamp_source": "modification time"}
+    path = write_mcap(
+        Results(make_run(tmp_path / "run", [record(0, [], **known)])), tmp_path / "bag"
+    )
+    with AnyReader([path]) as reader:
+        ((told, data),) = [
+            (stamp, json.loads(reader.deserialize(raw, c.msgtype).data))
+            for c, stamp, raw in reader.messages()
+            if c.topic == "/stereo_ore/record"
+        ]
+    assert (told, data["stamp_ns"], data["stamp_source"]) == (STAMP, STAMP, "modification time")
+
+
 def test_without_stamps_and_arm(tmp_path: Path) -> None:
     records = [record(n, [ore(1)], stamp_ns=None, arm_frame=None) for n in (4, 5)]
     for entry in records:

@@ -189,10 +189,10 @@ def test_each_frame_is_a_line_of_the_log(tmp_path: Path, caplog: pytest.LogCaptu
         for r in caplog.records
         if r.name == "stereo_ore.plant.loop"
     ]
-    assert [line["frame"] for line in lines] == ["000000", "000001", "000002"]
-    assert [line["status"] for line in lines] == ["ok", "failed", "ok"]
-    assert [line["targets"] for line in lines] == [2, 0, 2]
-    assert lines[1]["reasons"]
+    assert [line["frame"] for line in lines] == ["000000", "000002", "000001"]
+    assert [line["status"] for line in lines] == ["ok", "ok", "failed"]
+    assert [line["targets"] for line in lines] == [2, 2, 0]
+    assert lines[2]["reasons"]
     assert all(line["latency_ms"] >= 0 for line in lines)
 
 

@@ -219,14 +219,16 @@ def test_what_no_target_stands_behind_is_uncertain_and_keeps_its_value(sink: Opc
 
 
 def test_times_and_numbers_for_clients_without_64_bits(sink: OpcUaSink, arm: Arm):
-    show(sink, 6, stamp_ns=STAMP, index=2**40)
+    show(sink, 6, stamp_ns=STAMP, index=2**40, stamp_source="file name")
     assert (arm.read("StampNs").Value.Value, arm.read("FrameIndex").Value.Value) == (STAMP, 2**40)
     assert arm.read("Stamp").Value.Value == datetime(1970, 1, 1, tzinfo=UTC) + timedelta(
         microseconds=STAMP // 1000
     )
+    assert arm.read("StampSource").Value.Value == "file name"
     assert arm.read("FrameIndex32").Value.Value == 2**31 - 1
     show(sink, 7)
     assert (arm.read("StampNs").Value.Value, arm.read("Stamp").Value.Value.year) == (0, 1601)
+    assert arm.read("StampSource").Value.Value == ""
     assert arm.read("FrameIndex32").Value.Value == 7
 
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from stereo_ore.config.models import OrderConfig
-from stereo_ore.stages.order import order
+from stereo_ore.stages.order import order, passing
 from stereo_ore.types import Plane, Reason, Site, Solid, Strike, StrikePlan
 
-CONFIG = OrderConfig()
+CONFIG = OrderConfig(include="all")
 UP = np.array([0.0, 0.0, -1.0])
 SITE = Site(plane=Plane(UP, -2.0))
 
@@ -39,6 +39,14 @@ NONE = StrikePlan((), (Reason("TOO_STEEP", ""),))
 def test_oversize_first_then_unknown_then_the_rest() -> None:
     solids = [solid(False), solid(None), solid(True), None]
     assert order(solids, [strike()] * 4, SITE, CONFIG) == (3, 2, 4, 1)
+
+
+def test_what_passes_is_no_target_unless_all_are_wanted() -> None:
+    solids = [solid(False), solid(None), solid(True), None]
+    assert order(solids, [strike()] * 4, SITE, OrderConfig()) == (3, 2, 4)
+    codes = [[reason.code for reason in reasons] for reasons in passing(solids, OrderConfig())]
+    assert codes == [["PASSES"], [], [], []]
+    assert passing(solids, CONFIG) == ((), (), (), ())
 
 
 def test_without_a_strike_there_is_no_target() -> None:

@@ -24,6 +24,12 @@ from pyarrow import dataset, parquet
 from stereo_ore.export.parquet import NO_DAY, TABLES, run_id, schema_of, write_parquet
 
 DAY_NS = 86_400_000_000_000
+STAMPED = {
+    "schema": "stereo_ore/frame/2",
+    "stamp_source": "header",
+    "losses": [],
+    "grizzly": None,
+}
 GUIDE = Path(__file__).parents[1] / "docs" / "cluster.md"
 
 
@@ -51,7 +57,7 @@ def lake(tmp_path: Path) -> Path:
     """Two runs of different cameras; the first goes on for a day and has a frame without ores."""
     first = [record(0, [ore(1), ore(2, oversize=False)]), record(1, [ore(1, strike=False)])]
     first += [
-        record(2, [ore(1)], stamp_ns=STAMP + DAY_NS),
+        record(2, [ore(1)], stamp_ns=STAMP + DAY_NS, **STAMPED),
         record(3, [], "empty", stamp_ns=STAMP + 2 * DAY_NS),
     ]
     add(tmp_path / "a", first, tmp_path / "lake", "a", "north")
@@ -61,15 +67,15 @@ def lake(tmp_path: Path) -> Path:
 def test_rows_are_the_ores_of_the_records(lake: Path) -> None:
     rows = ask(
         f"""SELECT camera, frame, id, target_rank, oversize, cog_arm_z_m, volume_low_m3,
-                   reasons, strike_score
+                   reasons, strike_score, stamp_source
                    FROM read_parquet('{lake}/ores/**/*.parquet') ORDER BY camera, index, id"""
     )
     assert rows == [
-        ("north", "000000", 1, 2, True, 3.0, 0.003, [], 0.9),
-        ("north", "000000", 2, 1, False, 3.0, 0.003, [], 0.9),
-        ("north", "000001", 1, None, True, 3.0, 0.003, ["TOO_STEEP"], None),
-        ("north", "000002", 1, 1, True, 3.0, 0.003, [], 0.9),
-        ("south", "000000", 7, 1, True, 3.0, 0.003, [], 0.9),
+        ("north", "000000", 1, 2, True, 3.0, 0.003, [], 0.9, None),
+        ("north", "000000", 2, 1, False, 3.0, 0.003, [], 0.9, None),
+        ("north", "000001", 1, None, True, 3.0, 0.003, ["TOO_STEEP"], None, None),
+        ("north", "000002", 1, 1, True, 3.0, 0.003, [], 0.9, "header"),
+        ("south", "000000", 7, 1, True, 3.0, 0.003, [], 0.9, None),
     ]
 
 

@@ -14,7 +14,6 @@ import pytest
 
 from stereo_ore.cli import launch
 from stereo_ore.errors import FrameError, SourceError
-from stereo_ore.io.calibration import ros
 from stereo_ore.io.recordings import BagOptions, Source, describe, open_source, open_two_files
 
 ROOT = Path(__file__).parents[1]
@@ -310,10 +309,6 @@ WINDOWS = {"b_roi": (0.190, -0.199, 0.958), "b_oak14raw": (0.190, -0.199, 0.958)
 @pytest.mark.parametrize("name", WINDOWS)
 def test_21_bag_topics(name: str, shared_data: Path, run: Callable[..., Run]) -> None:
     pytest.importorskip("rosbags")
-    if not hasattr(ros, "_windowed"):
-        pytest.skip(
-            "windows of sensors and 14 coefficients need the reader of camera_info that knows them"
-        )
     folder = shared_data / "reports" / "21-bag-topics"
     done = run(folder / name, "--site", folder / "site_noplane.yaml")
     assert done.statuses == ["ok"], done.err

@@ -83,6 +83,7 @@ def test_frames_counts_and_reasons(report: Page) -> None:
         ("000002", 0, 0, 0),
     ]
     assert data["frames"][0]["largest_m"] == 0.2
+    assert data["frames"][1]["stamp_utc"] == "2023-11-14T22:13:20.100000000Z"
     assert data["frames"][2]["reasons"] == ["UNPAIRED: left2.png: has no right partner"]
     assert {(entry["of"], entry["code"], entry["count"]) for entry in data["reasons"]} == {
         ("frame", "UNPAIRED", 1),

@@ -271,7 +271,7 @@ def test_two_files_and_no_site(half: Path, tmp_path: Path) -> None:
     assert record["counts"]["kept"] > 1000
     assert record["arm_frame"] is None
     assert all(ore["surface_centroid"]["arm"] is None for ore in record["ores"])
-    assert "camera frame only" in done.stderr
+    assert "arm_from_camera is not in the site file" in done.stderr
 
 
 def test_a_configured_run_repeats_from_its_own_folder(half: Path, tmp_path: Path) -> None:

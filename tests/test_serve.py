@@ -17,16 +17,17 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from live import ListSink, free_port, lines_of, names_in, running, wait_for
+from live import ListSink, free_port, names_in, running, wait_for
 from typer.testing import CliRunner
 
 from stereo_ore.cli import app, load_verbs
 from stereo_ore.config import HealthConfig
-from stereo_ore.errors import FrameError, SourceError, StereoOreError
+from stereo_ore.errors import FrameError, OutputError, SourceError, StereoOreError
+from stereo_ore.io.lock import FolderLock
 from stereo_ore.io.recordings import open_source
 from stereo_ore.plant.camera import Camera, open_camera
 from stereo_ore.plant.frames import LiveFrame, Position, Recording
-from stereo_ore.plant.loop import position, processing
+from stereo_ore.plant.loop import processing
 from stereo_ore.runs.driver import Driver
 from stereo_ore.runs.frame_files import FrameFiles
 from stereo_ore.runs.history import Watch
@@ -77,15 +78,15 @@ def test_frames_copied_in_come_out_as_records_and_targets(synth_folder, tmp_path
 
     first = serve(range(1))
     # The second start finds the run finished, and goes on in it; a damaged frame between good ones
-    # is recorded.
+    # is waited for, holds up nobody, and is recorded.
     second = serve(range(1, 3))
     records = [json.loads(line) for line in (out / "frames.jsonl").read_text().splitlines()]
     assert [(record["frame"], record["index"]) for record in records] == [
         ("000", 0),
-        ("001", 1),
-        ("002", 2),
+        ("002", 1),
+        ("001", 2),
     ]
-    assert [record["status"] for record in records] == ["ok", "failed", "ok"]
+    assert [record["status"] for record in records] == ["ok", "ok", "failed"]
     assert (out / "overlays" / "002.png").is_file()
     good, stopped = first
     assert [target["id"] for target in good["targets"]] == records[0]["targets"]
@@ -123,16 +124,6 @@ def test_a_fault_of_ours_is_a_failed_frame_and_no_end(tmp_path):
         "INTERNAL_ERROR",
         [],
     )
-
-
-def test_the_position_is_that_of_the_last_record(tmp_path):
-    assert position(tmp_path) == Position(None, 0)
-    lines = [
-        lines_of(LiveFrame(name, index, 0, (), lambda: None)).record
-        for index, name in enumerate("ab")
-    ]
-    (tmp_path / "frames.jsonl.part").write_text("\n".join(lines) + "\n")
-    assert position(tmp_path) == Position("b", 2)
 
 
 class Playback:
@@ -175,7 +166,7 @@ def stop() -> Iterator[threading.Event]:
 def test_a_camera_delivers_both_eyes_with_stamps(video, stop):
     allowed = threading.Semaphore(0)
     camera = Camera(lambda: Playback(video, allowed), "camera 0")
-    frames = camera.frames(Position(None, 7), stop)
+    frames = camera.frames(Position(7), stop)
     for number in range(3):
         allowed.release()
         frame = next(frames)
@@ -256,10 +247,20 @@ def test_one_source_and_one_only(synth_folder, tmp_path, sources):
 def test_an_output_folder_of_another_run_is_refused(synth_folder, tmp_path):
     out = tmp_path / "out"
     out.mkdir()
-    (out / "run.json").write_text('{"digest": "other"}')
+    (out / "run.json").write_text('{"digest": "other", "source": "another"}')
     result = invoke(synth_folder, "--calib", synth_folder / "calibration.yaml", "--out", out)
     assert isinstance(result.exception, StereoOreError)
     assert "--overwrite" in str(result.exception)
+
+
+def test_a_second_serve_of_an_inbox_is_refused(synth_folder, tmp_path):
+    (tmp_path / "in").mkdir()
+    calib = synth_folder / "calibration.yaml"
+    with FolderLock(tmp_path / "in"):
+        result = invoke("--watch", tmp_path / "in", "--calib", calib, "--out", tmp_path / "out")
+    assert isinstance(result.exception, OutputError)
+    assert "in: is in use by another stereo-ore" in str(result.exception)
+    assert not (tmp_path / "out").exists()
 
 
 def test_help_names_every_consumer():

@@ -5,6 +5,7 @@ import threading
 import time
 from dataclasses import replace
 from importlib.resources import files
+from pathlib import Path
 
 import jsonschema
 import numpy as np
@@ -16,7 +17,8 @@ from live import ListSink, make_message, make_ore, make_record, wait_for
 from stereo_ore.errors import OutputError
 from stereo_ore.plant.publisher import Publisher
 from stereo_ore.plant.sinks.base import Outbox
-from stereo_ore.plant.sinks.message import Origin, message, offline, transform_id, utc
+from stereo_ore.plant.sinks.message import Origin, message, offline, transform_id
+from stereo_ore.times import utc
 
 
 def test_the_records_of_these_tests_are_real_ones():
@@ -49,6 +51,22 @@ def test_messages_are_what_their_schema_says():
     wrong = json.loads(make_message().line()) | {"valid": False}
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.validate(wrong, schema)
+
+
+def test_the_rule_of_the_guide_says_which_message_counts():
+    """Withdrawals are never dropped, nor what a program says that is back; late ones are."""
+    guide = (Path(__file__).parents[1] / "docs" / "plant.md").read_text(encoding="utf-8")
+    names: dict = {}
+    exec(guide.partition("```python\n")[2].partition("```")[0], names)
+    first, second = (make_message(sequence).json() for sequence in (1, 2))
+    gone = json.loads(offline(Origin("test")))
+    anew = {**first, "session": "later", "sequence": 1}
+    last, taken = None, []
+    for sent in (first, second, first, gone, second, first, gone, anew):
+        if names["counts"](sent, last):
+            last = sent
+            taken.append(sent)
+    assert taken == [first, second, gone, second, gone, anew]
 
 
 def test_a_message_carries_targets_in_order_with_unit_and_frame():
@@ -132,8 +150,10 @@ def test_a_message_sent_late_goes_without_its_targets():
 )
 def test_times_are_told_to_the_nanosecond(nanoseconds, text):
     assert utc(nanoseconds) == text
-    made = make_message(1, stamp_ns=nanoseconds).json()
+    source = None if nanoseconds is None else "arrival"
+    made = make_message(1, stamp_ns=nanoseconds, stamp_source=source).json()
     assert (made["stamp_ns"], made["stamp_utc"]) == (nanoseconds, text)
+    assert made["stamp_source"] == source
 
 
 def test_a_shortened_message_has_the_best_targets_and_says_so():

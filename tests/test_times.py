@@ -11,6 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from runs import make_run, ore, quarter_scene, record
 
 from stereo_ore.cli import launch
 from stereo_ore.cli.closing import Closing, cause
@@ -22,6 +23,8 @@ from stereo_ore.plant.frames import LiveFrame, Position
 from stereo_ore.plant.watch import FolderWatch
 
 MARCH = 1_774_958_400_000_000_000
+JUNE = 1_687_000_000_123_456_789
+"""2023-06-17T11:06:40.123456789Z"""
 
 
 def save_pair(
@@ -126,6 +129,51 @@ def made(folder: Path) -> Path:
     return folder
 
 
+def test_a_recording_without_header_stamps_can_be_asked_by_day_and_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Numbered PNG files → `run` → `export` → the query of the guide and pandas, beside a run whose
+    frames have no stamp at all."""
+    duckdb = pytest.importorskip("duckdb", reason="duckdb is not installed")
+    pandas = pytest.importorskip("pandas", reason="pandas is not installed")
+    known = quarter_scene(tmp_path / "scene")
+    stamps = [JUNE + number * 33_000_000 for number in range(2)]
+    (tmp_path / "recording").mkdir()
+    for number, stamp in enumerate(stamps):
+        for eye in ("left", "right"):
+            image = cv2.imread(str(tmp_path / "scene" / f"{eye}.png"))
+            image[0, 0] = number  # no frozen image
+            path = tmp_path / "recording" / f"{eye}{number:06d}.png"
+            cv2.imwrite(str(path), image)
+            os.utime(path, ns=(0, stamp))
+    command(0, "run", tmp_path / "recording", *known, "--out", tmp_path / "out")
+    command(0, "export", tmp_path / "out", tmp_path / "tables", "--format", "parquet")
+    bare = make_run(tmp_path / "bare", [record(0, [ore(1)], stamp_ns=None)], stages=False)
+    command(0, "export", bare, tmp_path / "tables", "--format", "parquet")
+
+    monkeypatch.chdir(tmp_path)
+    guide = (Path(__file__).parents[1] / "docs" / "cluster.md").read_text(encoding="utf-8")
+    ((month, _, oversize, targets, volume),) = duckdb.sql(
+        guide.partition("```sql\n")[2].partition("```")[0]
+    ).fetchall()
+    assert (str(month), targets <= oversize, volume > 0) == ("2023-06-01", True, True)
+    table = pandas.read_parquet("tables/ores")
+    dated = table[table.stamp_source == "modification time"]
+    assert oversize == dated.oversize.sum() > 0
+    assert sorted({stamp.value for stamp in dated.stamp_utc}) == stamps, "to the nanosecond"
+    assert {str(date) for date in dated.date} == {"2023-06-17"}
+    assert table[~table.index.isin(dated.index)][["date", "stamp_utc"]].isna().all(axis=None)
+    rows = pandas.read_csv(tmp_path / "out" / "ores.csv", parse_dates=["stamp_utc"])
+    assert [stamp.value for stamp in rows.stamp_utc] == [stamp.value for stamp in dated.stamp_utc]
+    assert set(rows.stamp_source) == {"modification time"}
+
+
+def command(code: int, *words: object) -> None:
+    with pytest.raises(SystemExit) as end:
+        launch([str(word) for word in words])
+    assert end.value.code == code
+
+
 # --- the end of a run
 
 
@@ -199,21 +247,30 @@ def test_what_was_waited_for_in_vain_says_so(
 def test_a_watched_frame_was_taken_when_it_arrived(tmp_path: Path) -> None:
     save_pair(tmp_path, 0, 10**9)
     save_pair(tmp_path, 1_700_000_000_000_000_001)
-    first, second = (frame.read() for frame in frames(FolderWatch(tmp_path, poll_s=0.01), 2))
-    assert first.stamp_source == "arrival"
-    assert abs(first.stamp_ns - time.time_ns()) < 60 * 10**9
+    watched = FolderWatch(tmp_path, poll_s=0.01).frames(Position(), threading.Event())
+    first, second = (next(watched).read() for _ in range(2))
+    assert (first.stamp_ns, first.stamp_source) == (10**9, "modification time")
     assert (second.stamp_ns, second.stamp_source) == (1_700_000_000_000_000_001, "file name")
+    save_pair(tmp_path, 1)
+    third = next(watched).read()
+    assert third.stamp_source == "arrival"
+    assert abs(third.stamp_ns - time.time_ns()) < 60 * 10**9
 
 
-@pytest.mark.parametrize("skew_s", [8, -8])
+@pytest.mark.parametrize(("skew_s", "trust"), [(8, False), (-8, False), (8, True), (-8, True)])
 def test_16_file_server_clock(
-    skew_s: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    skew_s: int,
+    trust: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
-    """Times of files are 8 s off this machine's, either way: the age of what arrives counts from
-    its arrival."""
+    """Times of files are 8 s off this machine's, either way: what seems old is old, unless times
+    are not trusted."""
     now_ns = time.time_ns
     monkeypatch.setattr(time, "time_ns", lambda: now_ns() + skew_s * 10**9)
-    watch, stop, found = FolderWatch(tmp_path, poll_s=0.01), threading.Event(), []
+    watch = FolderWatch(tmp_path, poll_s=0.01, trust_times=trust)
+    stop, found = threading.Event(), []
     thread = threading.Thread(
         target=lambda: found.extend(islice(watch.frames(Position(), stop), 2))
     )
@@ -224,7 +281,7 @@ def test_16_file_server_clock(
     save_pair(tmp_path, 1)
     thread.join(10)
     stop.set()
-    assert [0 <= frame.age_s < 5 for frame in found] == [True, True]
+    assert [0 <= frame.age_s < 5 for frame in found] == [not (trust and skew_s > 0)] * 2
     said = [
         entry.getMessage() for entry in caplog.records if "the clock of files" in entry.getMessage()
     ]

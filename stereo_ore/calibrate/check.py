@@ -29,6 +29,8 @@ CONVERGENCE_SIGMAS = 10.0
 certain."""
 
 NEGATIVE_SHARE = 0.02
+LEAST_PX = 0.5
+"""A scene whose median disparity is smaller shows no depth."""
 OFFSET_SHARE = 0.01
 """Known distances are trusted to this share."""
 
@@ -156,6 +158,12 @@ def _row_findings(
         text = f"rows differ by {residual.systematic_px:.2f} px, allowed are {LIMIT_PX} px"
         yield Finding("ROWS", "wrong", text)
         yield from _diagnose(matches, calibration)
+    if abs(residual.disparity_px[1] + rig.doffs_px) < LEAST_PX:
+        yield Finding(
+            "NO_DEPTH",
+            "wrong",
+            "most of the scene lies at infinity: are both pictures those of one eye?",
+        )
     if not swapped and residual.negative_share > NEGATIVE_SHARE:
         text = (
             f"{residual.negative_share:.0%} of the matches lie behind the camera; is there a"

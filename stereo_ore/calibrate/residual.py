@@ -46,9 +46,9 @@ class RowResidual:
     map_px
         (6, 8) medians in cells of the image, NaN where there are few.
     negative_share
-        Share of used matches that lie behind the camera (disparity + doffs < −1 px).
+        Share of used matches that lie behind the camera (disparity + `Rig.shift_px` < −1 px).
     disparity_px
-        (3,) 5th, 50th and 95th percentile of the disparity.
+        (3,) 5th, 50th and 95th percentile of the disparity, the calibration's correction added.
     """
 
     matched: int
@@ -115,7 +115,7 @@ def residual_of_matches(left: F64, right: F64, rig: Rig) -> RowResidual:
     if used.sum() < FEWEST_MATCHES:
         return _too_few(len(left))
     field, values, covariance, noise = _solve(rows, basis, weights, used)
-    disparity = left[used, 0] - right[used, 0] + rig.doffs_px
+    disparity = left[used, 0] - right[used, 0] + rig.shift_px
     # The constant of the field is −ωx, the columns of x·y and x are ωy and ωz.
     rotation = np.array([-values[0], values[1], values[2]])
     return RowResidual(
@@ -141,7 +141,7 @@ def _basis(left: F64, right: F64, rig: Rig) -> F64:
     """Columns of the row difference [px] for −ωx, ωy, ωz, t_y/B and s."""
     x = (right[:, 0] - rig.cx - rig.doffs_px) / rig.fx
     y = (right[:, 1] - rig.cy) / rig.fy
-    disparity = left[:, 0] - right[:, 0] + rig.doffs_px
+    disparity = left[:, 0] - right[:, 0] + rig.shift_px
     return np.column_stack([rig.fy * (1 + y**2), rig.fy * x * y, rig.fy * x, disparity, rig.fy * y])
 
 

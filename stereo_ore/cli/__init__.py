@@ -11,6 +11,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
+from stereo_ore import installation
 from stereo_ore.cli.logs import JsonLines, LogFormat
 from stereo_ore.errors import OutputError, StereoOreError
 from stereo_ore.version import __version__
@@ -29,6 +30,8 @@ VERBS = (
     "tune",
     "view",
     "export",
+    "doctor",
+    "example",
 )
 """Modules of this package; each has ``register(app)``."""
 
@@ -37,7 +40,7 @@ EXIT_KNOWN_ERROR, EXIT_USAGE, EXIT_QUALITY = 1, 2, 3
 app = typer.Typer(
     name="stereo-ore",
     no_args_is_help=True,
-    add_completion=False,
+    add_completion=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -87,16 +90,19 @@ def load_verbs() -> None:
 
 def launch(arguments: list[str] | None = None) -> None:
     """Run the command line; known errors end as one line and exit code 1."""
-    load_verbs()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(
             stream, TextIOWrapper
         ):  # names of files may hold what the terminal's encoding has not
             stream.reconfigure(errors="backslashreplace")
     try:
+        load_verbs()
         app(arguments)
     except StereoOreError as error:
         _end(error)
+    except (ImportError, AttributeError) as fault:
+        _tell_conflict(fault)
+        raise
     except BrokenPipeError:
         # The reader of our output went away (`| head`): no message helps, and Python must not try
         # to flush.
@@ -113,6 +119,12 @@ def launch(arguments: list[str] | None = None) -> None:
         )
     except MemoryError:
         _end(OutputError("not enough memory", remedy="Use smaller images or fewer --workers"))
+
+
+def _tell_conflict(fault: Exception) -> None:
+    """End in one line when OpenCV is broken by another wheel of it."""
+    if "cv2" in str(fault) and (found := installation.conflicting_wheels()):
+        _end(StereoOreError(f"{fault}: {installation.conflict_text(found)}"))
 
 
 def _end(error: StereoOreError) -> NoReturn:

@@ -19,6 +19,8 @@ CAUSES = ("EYES_DISAGREE", "ROWS_DISAGREE")
 """Reasons that explain all the others of a frame, the first before the second."""
 CONSEQUENCES = ("NO_SCREEN", "SCREEN_MOVED", "NO_POINTS", "FEW_DISPARITIES")
 """Reasons that other reasons explain."""
+OF_THE_SITE = ("NO_ARM_FRAME", "NO_VOLUME_GIVEN", "NO_PLANE_GIVEN")
+"""Reasons that hold for each frame of a run, and explain none."""
 USABLE = ("ok", "empty")
 MOST_COMPLAINTS = 5
 """Frames that are told about on standard error; all are in the records."""
@@ -29,7 +31,9 @@ def cause(reasons: Sequence[Json]) -> Json:
 
     def rank(reason: Json) -> int:
         code = reason["code"]
-        return CAUSES.index(code) if code in CAUSES else len(CAUSES) + (code in CONSEQUENCES)
+        if code in CAUSES:
+            return CAUSES.index(code)
+        return len(CAUSES) + (code in CONSEQUENCES) + 2 * (code in OF_THE_SITE)
 
     first = min(map(rank, reasons))
     return [reason for reason in reasons if rank(reason) == first][-1]
@@ -42,13 +46,23 @@ class Closing:
         self.totals: Counter[str] = Counter()
         self.bad: list[Json] = []
         self.last: Json = {}
+        self._withheld: dict[str, str] = {}
         for record in records:
             self.last = record
             self.totals.update({"frames": 1, record["status"]: 1})
             if record["status"] in USABLE:
                 self.totals.update({key: record["counts"][key] for key in ("ores", "targets")})
+                if record["status"] == "ok":
+                    self._withheld |= {r["code"]: r["detail"] for r in record["reasons"]}
             elif len(self.bad) < MOST_COMPLAINTS:
                 self.bad.append(record)
+
+    @property
+    def withheld(self) -> str:
+        """Why usable frames have no targets, in brackets; empty where nothing is said against
+        them.
+        """
+        return f" ({'; '.join(self._withheld.values())})" if self._withheld else ""
 
     def complain(self) -> None:
         """Say of the first bad frames what is wrong with them."""

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
+    from stereo_ore.chain import Chain
     from stereo_ore.runs.run import Progress
-    from stereo_ore.types import Site
 
 log = logging.getLogger(__name__)
 
@@ -145,7 +145,8 @@ def run(
     recording = expect_eyes(recording, calibration.image_size)
     recording = retime(recording, None if start_time is None else parse_time(start_time), fps)
     chain = Chain(calibration, load_site(site) if site else None, parameters)
-    _announce(chain.site, len(select(recording, chain, options)))
+    log.info("%s", _frames(len(select(recording, chain, options))))
+    announce(chain)
     with _progress() as progress:
         page = run_frames(recording, chain, out, options, InputFiles(calib, site, config), progress)
     if page:
@@ -153,14 +154,11 @@ def run(
     _summarise(out)
 
 
-def _announce(site: Site, frames: int) -> None:
-    log.info("%s", _frames(frames))
-    if site.T_arm_camera is None:
-        log.warning(
-            "no arm_from_camera in a site file: positions are in the camera frame only, not for"
-            " an arm"
-        )
-    if site.opening_m is None:
+def announce(chain: Chain) -> None:
+    """Say before the first frame what the site lacks."""
+    for reason in chain.withheld:
+        log.warning("%s", reason.detail)
+    if chain.site.opening_m is None:
         log.warning(
             "no grizzly opening in a site file: oversize stays unknown where it can't be measured"
         )
@@ -204,7 +202,7 @@ def _summarise(out: Path) -> None:
         _show(closing.last, out)
     statuses = ("ok", "degraded", "empty", "failed")
     summary = ", ".join(f"{totals[status]} {status}" for status in statuses if totals[status])
-    found = f"{totals['ores']} ores, {totals['targets']} targets"
+    found = f"{totals['ores']} ores, {totals['targets']} targets{closing.withheld}"
     typer.echo(f"{_frames(totals['frames'])} ({summary}), {found}: {out}")
     closing.check_usable()
 

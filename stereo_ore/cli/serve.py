@@ -6,8 +6,10 @@ import logging
 import re
 import signal
 import threading
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from dataclasses import dataclass, replace
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,13 +17,50 @@ import typer
 
 if TYPE_CHECKING:
     from stereo_ore.plant.frames import LiveSource
+    from stereo_ore.plant.live_folder import LiveFolder
     from stereo_ore.plant.loop import Process
+    from stereo_ore.plant.retention import Retention
     from stereo_ore.plant.sinks.base import TargetSink
     from stereo_ore.plant.sinks.message import Origin
-    from stereo_ore.runs.folder import RunFolder
     from stereo_ore.types import StereoCalibration
 
 log = logging.getLogger(__name__)
+
+RECENT = 1000
+"""Frames of a run that goes on, by which the next is judged."""
+
+
+class Age(StrEnum):
+    """What tells the age of a frame in a watched folder."""
+
+    FILES = "files"
+    ARRIVAL = "arrival"
+
+
+@dataclass(frozen=True)
+class Folder:
+    """A folder that is watched: how many of its frames may wait, and whether its files' times are
+    trusted.
+    """
+
+    path: Path
+    queue: int
+    trust_times: bool
+
+
+@dataclass(frozen=True)
+class Live:
+    """What a live run is made of."""
+
+    source: LiveSource
+    process: Process
+    folder: LiveFolder
+    consumers: list[TargetSink]
+    origin: Origin
+    valid_for_s: float
+    fault: Callable[[], str] = str
+    retention: Retention | None = None
+
 
 SinksFile = Annotated[
     Path | None, typer.Option("--sinks", help="File of consumers: addresses, certificates, users.")
@@ -99,6 +138,36 @@ def serve(
         ),
     ] = None,
     valid_for: ValidFor = 5.0,
+    queue: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            help="Frames that may wait; with more the newest is next and older ones are recorded"
+            " as skipped. 0: none is skipped.",
+        ),
+    ] = 2,
+    age: Annotated[
+        Age,
+        typer.Option(
+            help="Frames of --watch are as old as their names and files say, or as their arrival:"
+            " for a share whose clock is another.",
+        ),
+    ] = Age.FILES,
+    keep: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--keep",
+            metavar="KIND=LIMIT",
+            help="Remove older ones of clouds, overlays, pictures, records or inbox:"
+            " clouds=7d,20GB. Repeatable.",
+        ),
+    ] = None,
+    clouds: Annotated[
+        bool, typer.Option("--clouds/--no-clouds", help="Write filtered clouds.")
+    ] = True,
+    overlays: Annotated[
+        bool, typer.Option("--overlays/--no-overlays", help="Write overlays.")
+    ] = True,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace a different run in --out.")
     ] = False,
@@ -112,49 +181,55 @@ def serve(
     live --opcua 4840`
     """
     from stereo_ore.chain import Chain
+    from stereo_ore.cli.run import announce
     from stereo_ore.io.parameters import load_config
     from stereo_ore.io.site import load_site
+    from stereo_ore.plant.live_files import LiveFiles
+    from stereo_ore.plant.live_folder import LiveFolder
     from stereo_ore.plant.loop import processing
+    from stereo_ore.plant.retention import Retention, parse_limits
     from stereo_ore.plant.sinks.message import Origin, new_session, transform_id
     from stereo_ore.plant.sinks.settings import load_sinks, open_sinks
+    from stereo_ore.plant.watch import FolderWatch
     from stereo_ore.runs.driver import Driver
-    from stereo_ore.runs.folder import RunFolder
-    from stereo_ore.runs.frame_files import FrameFiles
     from stereo_ore.runs.history import Watch
     from stereo_ore.runs.identity import InputFiles, description, write_inputs
 
+    limits = parse_limits(keep or ())
     consumer_settings = load_sinks(sinks, opcua=opcua, mqtt=mqtt, tcp=tcp, modbus=modbus)
     parameters = load_config(config, settings or [])
     frames, calibration = _open(
-        source, watch, camera, calib, _size(size), parameters.source.max_pixels
+        source,
+        Folder(watch, queue, age is Age.FILES) if watch else None,
+        camera,
+        calib,
+        _size(size),
+        parameters.source.max_pixels,
     )
     chain = Chain(calibration, load_site(site) if site else None, parameters)
-    if chain.site.T_arm_camera is None:
-        log.warning(
-            "no arm_from_camera in a site file: frames are recorded, but no target is ever"
-            " published as valid"
-        )
+    announce(chain)
     origin = Origin(new_session(), transform_id(chain.site.T_arm_camera))
     consumers = open_sinks(consumer_settings, origin)
     inputs = InputFiles(calib, site, config)
     about = description(frames.name, chain, inputs)
-    with RunFolder(out, about, resume=not overwrite, overwrite=overwrite) as folder:
-        write_inputs(out, chain, inputs)
-        watcher = Watch(parameters.health, folder.earlier())
-        process = processing(Driver(chain, FrameFiles(out), unattended=True), watcher)
-        run_live(frames, process, folder, consumers, origin, valid_for, page, page_name or ())
+    with (
+        _alone(watch),
+        LiveFolder(
+            out, about, lambda: write_inputs(out, chain, inputs), overwrite=overwrite
+        ) as folder,
+    ):
+        watcher = Watch(parameters.health, folder.recent(RECENT))
+        files = LiveFiles(out, clouds=clouds, overlays=overlays)
+        process = processing(Driver(chain, files, unattended=True), watcher)
+        live = Live(frames, process, folder, consumers, origin, valid_for)
+        live = replace(live, fault=lambda: folder.alarm or files.room.fault)
+        if limits:
+            done = frames.inbox.handled if isinstance(frames, FolderWatch) else tuple
+            live = replace(live, retention=Retention(out, limits, done))
+        run_live(live, page, page_name or ())
 
 
-def run_live(
-    source: LiveSource,
-    process: Process,
-    folder: RunFolder,
-    consumers: list[TargetSink],
-    origin: Origin,
-    valid_for_s: float,
-    page: int | None,
-    page_names: Sequence[str] = (),
-) -> None:
+def run_live(live: Live, page: int | None, page_names: Sequence[str] = ()) -> None:
     """Serve until a signal or the end of the source; then give the folder its final names."""
     from stereo_ore.plant.loop import serve as serve_frames
     from stereo_ore.plant.page import LivePage
@@ -162,18 +237,21 @@ def run_live(
     from stereo_ore.plant.status import Status
 
     stop = threading.Event()
+    folder = live.folder
     with (
-        Publisher(consumers, valid_for_s, origin) as publisher,
+        Publisher(live.consumers, live.valid_for_s, live.origin) as publisher,
         _signals(stop),
         ExitStack() as stack,
     ):
-        status = Status(source, publisher)
+        status = Status(live.source, publisher, live.fault)
         if page is not None:
             shown = stack.enter_context(LivePage(page, status, folder.folder, page_names))
             typer.echo(f"live page: {shown.url}", err=True)
         for state in publisher.states():
             log.info("%s: %s", state.name, state.address)
-        done = serve_frames(source, process, folder, publisher, status, stop)
+        done = serve_frames(
+            live.source, live.process, folder, publisher, status, stop, live.retention
+        )
     folder.finish()
     typer.echo(f"{done} frames: {folder.folder}")
 
@@ -195,9 +273,16 @@ def _signals(stop: threading.Event) -> Iterator[None]:
             signal.signal(number, action)
 
 
+def _alone(watch: Path | None) -> AbstractContextManager[object]:
+    """Keep others from serving the same inbox; it may be one that nothing can be written to."""
+    from stereo_ore.io.lock import FolderLock
+
+    return FolderLock(watch) if watch else nullcontext()
+
+
 def _open(
     source: Path | None,
-    watch: Path | None,
+    watch: Folder | None,
     camera: int | None,
     calib: Path | None,
     size: tuple[int, int] | None,
@@ -215,9 +300,15 @@ def _open(
         case Path(), None, None, _:
             recording = limit_pixels(open_source(source), max_pixels)
             return Recording(recording), calibration_of(recording, calib, size)
-        case None, Path(), None, Path():
-            calibration = load(calib, image_size=size, recorded_size=first_size(watch))
-            frames = FolderWatch(watch, max_pixels=max_pixels, eye_size=calibration.image_size)
+        case None, Folder(folder, queue, trust), None, Path():
+            calibration = load(calib, image_size=size, recorded_size=first_size(folder))
+            frames = FolderWatch(
+                folder,
+                max_pixels=max_pixels,
+                eye_size=calibration.image_size,
+                queue=queue,
+                trust_times=trust,
+            )
             return frames, calibration
         case None, None, int(), Path():
             calibration = load(calib, image_size=size)

@@ -4,7 +4,15 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationInfo,
+    field_validator,
+)
+from pydantic_core import PydanticCustomError
 
 
 class StageConfig(BaseModel):
@@ -115,11 +123,29 @@ class CloudConfig(StageConfig):
     max_depth_m: float = param(20.0, "farther points are dropped", "m", gt=0, le=5000)
 
 
+LARGEST_VOXEL_M = 0.5
+"""Larger ones hold whole lumps."""
+
+
+def _voxel_edge(value: float | str) -> float | str:
+    """Refuse edges that can't be, in the words of other limits."""
+    if not isinstance(value, str) and value <= 0:
+        raise PydanticCustomError("greater_than", "Input should be greater than 0")
+    if not isinstance(value, str) and value > LARGEST_VOXEL_M:
+        limit = {"limit": LARGEST_VOXEL_M}
+        raise PydanticCustomError(
+            "less_than_equal", "Input should be less than or equal to {limit}", limit
+        )
+    return value
+
+
 class VoxelConfig(StageConfig):
     """The voxel grid."""
 
-    size_m: float | Literal["auto"] = param(
-        "auto", "edge of a voxel; auto: `pixels` × pixel size at the screen", "m"
+    size_m: Annotated[float | Literal["auto"], AfterValidator(_voxel_edge)] = param(
+        "auto",
+        f"edge of a voxel, up to {LARGEST_VOXEL_M} m; auto: `pixels` × pixel size at the screen",
+        "m",
     )
     pixels: float = param(
         3.4, "edge of an automatic voxel in pixels at the middle of the scene", "px", gt=0
@@ -161,6 +187,25 @@ class ModelsConfig(StageConfig):
     """What is learned, where it is not what ships with the package."""
 
     lumps: str = param("shipped", "folder of the network of lumps: model.onnx and card.json")
+
+
+class ForeignConfig(StageConfig):
+    """What is in view and is no ore: the arm itself, chains, posts, people."""
+
+    find: bool = param(True, "look for what stands or hangs over the screen and is no ore")
+    min_stance: float = param(
+        1.2, "height over all around it, in its own widths, from which on a part is no ore", gt=0
+    )
+    margin: float = param(
+        0.08, "band around a body that is no ore either, in openings: depth is smeared there", ge=0
+    )
+    clearance: float = param(0.3, "distance that strikes keep from a body, in openings", ge=0)
+    max_share: float = param(
+        0.1,
+        "share of the view that bodies found may cover before all targets are withheld",
+        ge=0,
+        le=1,
+    )
 
 
 class SegmentConfig(StageConfig):
@@ -250,6 +295,9 @@ class StrikeConfig(StageConfig):
 class OrderConfig(StageConfig):
     """Which lump to break first: a weighted sum, highest first."""
 
+    include: Literal["oversize", "all"] = param(
+        "oversize", "what is a target: lumps that can't pass or may be unable to, or all lumps"
+    )
     oversize_weight: float = param(
         4.0, "for a lump that can't pass; half of it when that is unknown", ge=0
     )
@@ -335,6 +383,7 @@ class Config(StageConfig):
     filter: FilterConfig = FilterConfig()
     grizzly: GrizzlyConfig = GrizzlyConfig()
     models: ModelsConfig = ModelsConfig()
+    foreign: ForeignConfig = ForeignConfig()
     segment: SegmentConfig = SegmentConfig()
     solid: SolidConfig = SolidConfig()
     strike: StrikeConfig = StrikeConfig()

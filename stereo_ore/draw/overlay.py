@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from stereo_ore.types import F64, U8, FrameResult, Ore, Rig
+from stereo_ore.types import F64, U8, ForeignBody, FrameResult, Ore, Rig
 
 RED, AMBER, GREEN, WHITE, BLACK, CYAN = (
     (60, 60, 255),
@@ -15,6 +15,7 @@ RED, AMBER, GREEN, WHITE, BLACK, CYAN = (
     (0, 0, 0),
     (255, 230, 60),
 )
+MAGENTA = (200, 60, 220)
 ARROW_LENGTH_M = 0.15
 
 
@@ -28,6 +29,8 @@ def draw(result: FrameResult) -> U8 | None:
         return None
     image = result.pair.left.copy()
     scale = image.shape[1] / 1280
+    for body in result.foreign:
+        _draw_foreign(image, body, scale)
     for ore in result.ores:
         _draw_outline(image, result, ore, scale)
     for ore in result.ores:
@@ -48,6 +51,18 @@ def _draw_outline(image: U8, result: FrameResult, ore: Ore, scale: float) -> Non
     mask = (result.ore_map.labels == ore.id).astype(np.uint8)
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     cv2.drawContours(image, contours, -1, _colour(ore), max(1, round(2 * scale)), cv2.LINE_AA)
+
+
+def _draw_foreign(image: U8, body: ForeignBody, scale: float) -> None:
+    """Hatch a body that is no ore, and name it."""
+    height, width = image.shape[:2]
+    inside = cv2.fillPoly(np.zeros((height, width), np.uint8), [body.outline_px], 1) > 0
+    v, u = np.indices((height, width))
+    period = max(6, round(12 * scale))
+    image[inside & ((u + v) % period < period / 4)] = MAGENTA
+    cv2.polylines(image, [body.outline_px], True, MAGENTA, max(1, round(2 * scale)), cv2.LINE_AA)
+    u0, v0 = body.outline_px.min(0)
+    _text(image, f"no ore: {body.name}", (int(u0), int(v0) - round(4 * scale)), scale)
 
 
 def _draw_marks(image: U8, rig: Rig, ore: Ore, first: bool, scale: float) -> None:

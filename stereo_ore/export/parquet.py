@@ -40,6 +40,7 @@ _KEYS = {
     **dict.fromkeys(("run", "camera", "frame"), "string"),
     "index": "int64",
     "stamp_utc": "timestamp[ns]",
+    "stamp_source": "string",
     "date": "date32",
 }
 _ORE_TYPES = {
@@ -51,7 +52,7 @@ _ORE_TYPES = {
 TABLES = {
     "ores": {
         **_KEYS,
-        **{name: _ORE_TYPES.get(name, "float64") for name in FIELDS if name != "frame"},
+        **{name: _ORE_TYPES.get(name, "float64") for name in FIELDS if name not in _KEYS},
         **dict.fromkeys(
             ("volume_low_m3", "volume_high_m3", "strike_flatness_m", "strike_score"), "float64"
         ),
@@ -123,11 +124,12 @@ def _rows(records: Iterable[Json], labels: Json) -> dict[Place, list[Json]]:
             "frame": record["frame"],
             "index": record["index"],
             "stamp_utc": stamp,
+            "stamp_source": record.get("stamp_source"),
             "date": date,
         }
         found["frames", day].append(keys | _frame_row(record))
         # A day without ores has its empty table too: it was looked at.
-        found["ores", day] += [keys | _ore_row(record, ore) for ore in record["ores"]]
+        found["ores", day] += [_ore_row(record, ore) | keys for ore in record["ores"]]
     return found
 
 

@@ -56,6 +56,12 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode(errors="backslashreplace"))
 
 
+def write_bytes_where_new(path: Path, data: bytes) -> None:
+    """Write `data` as `write_bytes` does, unless the file holds just that."""
+    if not (path.is_file() and path.read_bytes() == data):
+        write_bytes(path, data)
+
+
 def guarded(path: Path, action: Callable[[], object]) -> None:
     """Do `action` on `path`; an operating system's refusal becomes an `OutputError`."""
     try:

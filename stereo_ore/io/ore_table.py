@@ -9,6 +9,8 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+from stereo_ore.times import utc
+
 FIELDS = (
     "frame",
     "id",
@@ -24,6 +26,8 @@ FIELDS = (
     "points",
     "pixels",
     "reasons",
+    "stamp_utc",
+    "stamp_source",
 )
 """Columns of ores.csv; units are in the names."""
 
@@ -56,6 +60,8 @@ def ore_row(frame: Json, ore: Json) -> Json:
         "frame": frame["frame"],
         "target_rank": rank,
         "reasons": [r["code"] for r in ore["reasons"]],
+        "stamp_utc": utc(frame["stamp_ns"]),
+        "stamp_source": frame.get("stamp_source"),
     }
     centre = ore["centre_of_gravity"] or {}
     for name, values in (

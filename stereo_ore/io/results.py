@@ -21,6 +21,7 @@ from stereo_ore.io import calibration, clouds
 from stereo_ore.io.npz_io import load_arrays
 from stereo_ore.io.parameters import load_config
 from stereo_ore.io.record_check import SCHEMAS, record_fault
+from stereo_ore.io.segments import line_files
 from stereo_ore.io.site import load_site
 from stereo_ore.record import SCHEMA
 from stereo_ore.stages.rectify import make_rectifier
@@ -43,8 +44,8 @@ HALF_PAIR = re.compile(r"\\u[dD][89a-fA-F]")
 
 @dataclass(frozen=True)
 class Results:
-    """A run's folder; an unfinished run is read as far as it goes, and what a frame does not have
-    is None.
+    """A run's folder; an unfinished run is read as far as it goes, one of many days in all its
+    segments, and what a frame does not have is None.
     """
 
     folder: Path
@@ -62,26 +63,29 @@ class Results:
         SourceError
             When there are none, or a line is no record.
         """
-        file = self._lines("frames")
-        if file is None:
+        files = line_files(self.folder, "frames")
+        if not files:
             raise SourceError(
                 "holds no frames.jsonl", file=self.folder, remedy="Name the --out folder of a run"
             )
-        for number, record in enumerate(_objects(file), 1):
-            yield _checked(record, file, number)
+        for file in files:
+            for number, record in enumerate(_objects(file), 1):
+                yield _checked(record, file, number)
 
     def inputs(self) -> Iterator[Json]:
         """Files and their SHA-256 of each frame, as far as the run noted them."""
-        part = self.folder / "inputs.jsonl.part"
-        yield from _objects(part) if part.is_file() else self.run.get("inputs", ())
+        for file in line_files(self.folder, "inputs"):
+            yield from _objects(file)
+        if not (self.folder / "inputs.jsonl.part").is_file():
+            yield from self.run.get("inputs", ())
 
     @cached_property
     def timings(self) -> Mapping[str, Json]:
         """Milliseconds of each frame's stages, by the frame's name."""
-        file = self._lines("timings")
-        return (
-            {entry["frame"]: entry for entry in _objects(file) if _is_timing(entry)} if file else {}
-        )
+        files = line_files(self.folder, "timings")
+        return {
+            entry["frame"]: entry for file in files for entry in _objects(file) if _is_timing(entry)
+        }
 
     @cached_property
     def run(self) -> Json:
@@ -155,11 +159,6 @@ class Results:
         file = _existing(self.folder / name)
         return (
             _object(file.read_text(encoding="utf-8", errors="replace"), file, 1) if file else None
-        )
-
-    def _lines(self, name: str) -> Path | None:
-        return _existing(self.folder / f"{name}.jsonl") or _existing(
-            self.folder / f"{name}.jsonl.part"
         )
 
 

@@ -14,6 +14,7 @@ from pydantic import BeforeValidator, Field
 from stereo_ore.config.fields import Number, Section
 from stereo_ore.config.validation import validate
 from stereo_ore.errors import ConfigError
+from stereo_ore.io import keep_out as places
 from stereo_ore.io.yaml_io import load_yaml
 from stereo_ore.transforms import inverse, nearest_rotation, rotate, rotation_fault
 from stereo_ore.types import F64, Plane, Site, Volume
@@ -82,6 +83,7 @@ class _File(Section):
     grizzly: _Grizzly = _Grizzly()
     background: str | None = None
     reach: _Box | None = None
+    keep_out: Annotated[tuple[places.Entry, ...], Field(max_length=64)] = ()
     hand_eye: HandEyeRecord | None = None
 
 
@@ -134,6 +136,7 @@ def _faults(file: _File) -> list[str]:
     ):
         if part and part.frame == "arm" and file.arm_from_camera is None:
             found.append(f"{name}: is in the arm frame, but arm_from_camera is not given")
+    found += places.faults(file.keep_out, file.arm_from_camera is not None)
     return found
 
 
@@ -159,6 +162,7 @@ def _length_faults(file: _File) -> list[str]:
         ("tool_from_camera", file.tool_from_camera),
     ):
         lengths += [] if rows is None else [(name, [row[3] for row in rows[:3]], 0.0, FARTHEST_M)]
+    lengths += [(*entry, 0.0, FARTHEST_M) for entry in places.lengths(file.keep_out)]
     grizzly = file.grizzly
     if grizzly.plane and any(grizzly.plane.normal):
         lengths.append(("grizzly.plane.offset_m", [_offset(grizzly.plane)], 0.0, FARTHEST_M))
@@ -202,6 +206,7 @@ def _site(file: _File, path: Path) -> Site:
         background=None if file.background is None else path.parent / file.background,
         reach_min_m=None if reach is None else np.array(reach.min_m),
         reach_max_m=None if reach is None else np.array(reach.max_m),
+        keep_out=tuple(places.in_camera(entry, T_arm_camera) for entry in file.keep_out),
     )
 
 
@@ -273,6 +278,8 @@ def save_site(site: Site, path: str | Path, hand_eye: HandEyeRecord | None = Non
         document["background"] = _relative(site.background, path.parent)
     if site.reach_min_m is not None and site.reach_max_m is not None:
         document["reach"] = _box(site.reach_min_m, site.reach_max_m)
+    if site.keep_out:
+        document["keep_out"] = [places.document(place) for place in site.keep_out]
     if hand_eye is not None:
         document["hand_eye"] = hand_eye.model_dump(mode="json")
     path.write_text(

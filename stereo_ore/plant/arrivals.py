@@ -1,17 +1,15 @@
-"""The frames in a folder that are not done yet, listed in a time that hardly grows with those that
-are.
-"""
+"""The frames of a listing of files, with whatever files of theirs are there so far."""
 
 from __future__ import annotations
 
-from collections.abc import Container
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from stereo_ore.errors import SourceError
 from stereo_ore.io.recordings import Source
 from stereo_ore.io.recordings.folder import ImagePairs
-from stereo_ore.io.recordings.images import IMAGE_SUFFIXES
-from stereo_ore.io.recordings.layouts import find_eyes, list_files, may_be_eye
+from stereo_ore.io.recordings.layouts import Eyes, Listing, find_eyes, may_be_eye
 from stereo_ore.io.recordings.names import frame_names, natural_key
 from stereo_ore.io.recordings.side_by_side import SideBySideImages
 
@@ -19,10 +17,11 @@ from stereo_ore.io.recordings.side_by_side import SideBySideImages
 @dataclass(frozen=True)
 class Arrival:
     """One frame with the files that are there so far: alone in `source`, and `paired` when no eye
-    is missing.
+    is missing. `name` is safe as a file's, `key` tells the frame from all others of a listing.
     """
 
     name: str
+    key: str
     source: Source
     paired: bool
 
@@ -32,7 +31,7 @@ class Arrival:
         return self.source.files(0)
 
 
-def arrivals(folder: Path, done: Container[str]) -> list[Arrival]:
+def arrivals(folder: Path, listing: Listing) -> list[Arrival]:
     """Frames of a folder in the natural order of their names, in the layouts that `sources.folder`
     knows.
 
@@ -40,32 +39,78 @@ def arrivals(folder: Path, done: Container[str]) -> list[Arrival]:
     ----------
     folder : Path
         Folder with left and right images, together or in subfolders, or with side-by-side images.
-    done : container of str
-        Paths of files to leave out.
+    listing
+        Its files by their folder.
     """
-    listing = list_files(folder, IMAGE_SUFFIXES, done)
-    eyes = find_eyes(listing, folder.resolve().name)
+    eyes, odd = _find_eyes(listing, folder.resolve().name)
     found = [
         _pair(folder, key, eyes.left.get(key), eyes.right.get(key))
         for key in eyes.left.keys() | eyes.right.keys()
     ]
-    marked = {*eyes.left.values(), *eyes.right.values()}
+    marked = {*eyes.left.values(), *eyes.right.values(), *odd}
+    found += [_alone(folder, file) for file in odd]
     found += [
-        _single(folder, file) for file in listing[""] if file not in marked and file.is_file()
+        _single(folder, file)
+        for file in listing.get("", ())
+        if file not in marked and file.is_file()
     ]
     return sorted(found, key=lambda arrival: natural_key(arrival.name))
 
 
+def _find_eyes(listing: Listing, default_key: str) -> tuple[Eyes, list[Path]]:
+    """The eyes of a listing, and files that claim an eye which another file is already: they must
+    not keep all others from being found.
+    """
+    order = [(folder, file) for folder, files in listing.items() for file in files]
+    odd: list[Path] = []
+    while True:
+        try:
+            return find_eyes(_some(listing, order), default_key), odd
+        except SourceError:
+            at = _first(
+                len(order), lambda count: _fails(_some(listing, order[:count]), default_key)
+            )
+            odd.append(order.pop(at - 1)[1])
+
+
+def _some(listing: Listing, order: list[tuple[str, Path]]) -> Listing:
+    some: Listing = {folder: [] for folder in listing}
+    for folder, file in order:
+        some[folder].append(file)
+    return some
+
+
+def _fails(listing: Listing, default_key: str) -> bool:
+    try:
+        find_eyes(listing, default_key)
+    except SourceError:
+        return True
+    return False
+
+
+def _first(most: int, holds: Callable[[int], bool]) -> int:
+    """The smallest number up to `most`, for which it holds, from which on it holds."""
+    low, high = 0, most
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if holds(middle) else (middle, high)
+    return high
+
+
 def _pair(folder: Path, key: str, left: Path | None, right: Path | None) -> Arrival:
     names = frame_names([key])
-    return Arrival(
-        names[0],
-        ImagePairs(folder, names, ((left, right),)),
-        left is not None and right is not None,
-    )
+    paired = left is not None and right is not None
+    return Arrival(names[0], f"pair {key}", ImagePairs(folder, names, ((left, right),)), paired)
+
+
+def _alone(folder: Path, file: Path) -> Arrival:
+    """A frame that never gets its other eye."""
+    names = frame_names([file.stem])
+    return Arrival(names[0], f"odd {file}", ImagePairs(folder, names, ((file, None),)), False)
 
 
 def _single(folder: Path, file: Path) -> Arrival:
     """A frame of one file; where its name may tell an eye, its partner is waited for."""
     names = frame_names([file.stem])
-    return Arrival(names[0], SideBySideImages(folder, names, (file,)), not may_be_eye(file.stem))
+    source = SideBySideImages(folder, names, (file,))
+    return Arrival(names[0], f"file {file}", source, not may_be_eye(file.stem))

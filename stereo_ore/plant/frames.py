@@ -5,12 +5,13 @@ from __future__ import annotations
 import functools
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
 from stereo_ore.io.recordings import Source
+from stereo_ore.plant.clock import SYSTEM, Clock
 from stereo_ore.types import StereoPair
 
 
@@ -18,8 +19,19 @@ from stereo_ore.types import StereoPair
 class LiveFrame:
     """One frame that has arrived; `read` raises `FrameError` when it is not usable.
 
-    `arrived_ns` is the time of day; `seen_s` the same moment on the clock that nobody sets
-    (`time.monotonic`), where this program saw the frame arrive.
+    Parameters
+    ----------
+    arrived_ns : int
+        Time of day at which it arrived.
+    seen_s : float
+        The same moment on the clock that nobody sets (`Clock.monotonic`), where this program saw
+        the frame arrive.
+    taken_ns : int
+        Time of day at which it was taken at the latest, where its name or files say so.
+    written_ns : int
+        When its files were last written, by their own clock: tells a file whose name is used again.
+    skipped : str
+        Why it is recorded without being processed; empty for a frame that is to be processed.
     """
 
     name: str
@@ -28,25 +40,35 @@ class LiveFrame:
     files: tuple[Path, ...]
     read: Callable[[], StereoPair]
     seen_s: float | None = None
+    taken_ns: int | None = None
+    written_ns: int | None = None
+    skipped: str = ""
+    clock: Clock = SYSTEM
 
     @property
     def age_s(self) -> float:
-        """Time since it arrived [s]; of a frame that was not seen to arrive negative when the clock
-        was set back.
+        """Time since it was taken, or at least since it arrived [s]; of a frame that was not seen
+        to arrive negative when the clock was set back.
         """
-        if self.seen_s is not None:
-            return time.monotonic() - self.seen_s
-        return (time.time_ns() - self.arrived_ns) / 1e9
+        now_ns = self.clock.time_ns()
+        if self.seen_s is None:
+            return (now_ns - min(self.arrived_ns, self.taken_ns or self.arrived_ns)) / 1e9
+        seen_s = self.clock.monotonic() - self.seen_s
+        return seen_s if self.taken_ns is None else max(seen_s, (now_ns - self.taken_ns) / 1e9)
+
+
+Handled = Callable[[int], Iterable[tuple[str, float]]]
+"""Paths of files handled since a time [ns since 1970], and when each had been written [ns]."""
 
 
 @dataclass(frozen=True)
 class Position:
-    """Where a run stands: the name of the last frame done (None: nothing yet) and the index of the
-    next.
+    """Where a run stands: the index of the next frame, and what tells files that are done
+    already.
     """
 
-    after: str | None = None
     index: int = 0
+    handled: Handled = lambda since_ns: ()
 
 
 class LiveSource(Protocol):

@@ -7,30 +7,38 @@ from __future__ import annotations
 import json
 import logging
 import threading
-from collections import deque
 from collections.abc import Callable
-from pathlib import Path
+from dataclasses import replace
 
-from stereo_ore.io.results import Json, parse_record
-from stereo_ore.plant.frames import LiveFrame, LiveSource, Position
+from stereo_ore.chain import no_counts
+from stereo_ore.io.results import Json
+from stereo_ore.plant.frames import LiveFrame, LiveSource
+from stereo_ore.plant.live_folder import LiveFolder
 from stereo_ore.plant.publisher import Publisher
+from stereo_ore.plant.retention import Retention
 from stereo_ore.plant.status import Status
-from stereo_ore.runs.driver import Driver
-from stereo_ore.runs.folder import FrameLines, RunFolder
-from stereo_ore.runs.history import Watch
+from stereo_ore.runs.driver import Driver, frame_lines
+from stereo_ore.runs.folder import FrameLines
+from stereo_ore.runs.history import Watch, degraded
+from stereo_ore.types import FrameResult, Reason, Site, StereoPair
 
 log = logging.getLogger(__name__)
 
 Process = Callable[[LiveFrame], FrameLines]
 
+GONE = Reason("RESULTS_GONE", "the folder of results is not there: nothing can be recorded")
+DISK_FULL = "DISK_FULL"
+"""Reason in messages while results can't be written, or not all of them."""
+
 
 def serve(
     source: LiveSource,
     process: Process,
-    folder: RunFolder,
+    folder: LiveFolder,
     publisher: Publisher,
     status: Status,
     stop: threading.Event,
+    retention: Retention | None = None,
 ) -> int:
     """Process frames until `stop` is set or the source ends; the number of frames done.
 
@@ -40,7 +48,7 @@ def serve(
         Where frames come from.
     process : callable
         Turns a frame into its lines; a frame that can't be processed gives a record that says so.
-    folder : RunFolder
+    folder : LiveFolder
         Open folder of results; its last whole record is where the run goes on.
     publisher : Publisher
         Open publisher of targets.
@@ -48,17 +56,44 @@ def serve(
         Told of each frame, for the live page.
     stop : threading.Event
         Ends the loop after the frame in work.
+    retention : Retention
+        Removes what is no longer kept; None: nothing is removed.
     """
     done = 0
-    for frame in source.frames(position(folder.folder), stop):
-        lines = process(frame)
-        folder.add(lines)
+    for arrived in source.frames(folder.position(), stop):
+        frame = folder.named(arrived)
+        lines = _noted(_skipped(frame) if frame.skipped else process(frame), frame)
+        folder.add(frame.name, lines)
         record = json.loads(lines.record)
-        publisher.publish(record, frame.age_s)
-        status.add(record, frame.age_s)
+        if folder.gone:
+            record = degraded(record, [GONE])
+        notes = (DISK_FULL,) if status.disk_fault and not folder.gone else ()
+        if not frame.skipped:
+            publisher.publish(record, frame.age_s, notes)
+        status.add(record, None if frame.skipped else frame.age_s)
         _tell(record, frame)
         done += 1
+        if retention:
+            retention.sweep_when_due(at_once=bool(notes))
     return done
+
+
+def _skipped(frame: LiveFrame) -> FrameLines:
+    """The lines of a frame that is not processed."""
+    reason = Reason("OVERTAKEN", frame.skipped)
+    stamp_ns = frame.taken_ns or frame.arrived_ns
+    result = FrameResult(frame.name, frame.index, stamp_ns, "skipped", (reason,), no_counts())
+    return frame_lines(replace(result, stamp_source="arrival"), Site(), ())
+
+
+def _noted(lines: FrameLines, frame: LiveFrame) -> FrameLines:
+    """The lines with what tells, after a restart, that the files of a frame are done."""
+    entry = json.loads(lines.inputs)
+    entry.setdefault("files", {})
+    entry["files"] = {str(file): None for file in frame.files} | entry["files"]
+    if frame.written_ns is not None:
+        entry["written_ns"] = frame.written_ns
+    return replace(lines, inputs=json.dumps(entry))
 
 
 def _tell(record: Json, frame: LiveFrame) -> None:
@@ -88,18 +123,10 @@ def processing(driver: Driver, watch: Watch) -> Process:
     """Processing of live frames by an unattended driver, each judged by those before it."""
 
     def process(frame: LiveFrame) -> FrameLines:
-        result = driver.detect(frame.name, frame.index, lambda: [frame.read()])
+        def read() -> list[StereoPair]:
+            return [replace(frame.read(), name=frame.name)]
+
+        result = driver.detect(frame.name, frame.index, read)
         return watch.judge(driver.finish(result, frame.files))
 
     return process
-
-
-def position(folder: Path) -> Position:
-    """Where the unfinished run in `folder` stands, from its last whole record."""
-    part = folder / "frames.jsonl.part"
-    if not part.is_file() or part.stat().st_size == 0:
-        return Position()
-    with part.open(encoding="utf-8", errors="replace", newline="\n") as lines:
-        ((number, line),) = deque(enumerate(lines, 1), maxlen=1)
-    record = parse_record(line, part, number)
-    return Position(record["frame"], record["index"] + 1)

@@ -4,17 +4,16 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from stereo_ore.plant.live_files import NO_DISK_BYTES, free_bytes
 from stereo_ore.plant.status import LATENCY_S, Status
 from stereo_ore.version import __version__
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 LITTLE_DISK_BYTES = 10**9
-NO_DISK_BYTES = 10**8
 
 Sample = tuple[Mapping[str, str], float]
 """Labels and value."""
@@ -27,9 +26,10 @@ def health(status: Status, folder: Path) -> dict[str, Any]:
     by itself: no frame for longer than targets hold, no consumer.
     """
     alarms, warnings = status.alarms(), []
-    free = shutil.disk_usage(folder).free
+    free = free_bytes(folder)
     if free < NO_DISK_BYTES:
-        alarms.append(f"{folder}: {free // 10**6} MB left on the disk")
+        if not status.disk_fault:
+            alarms.append(f"{folder}: {free // 10**6} MB left on the disk")
     elif free < LITTLE_DISK_BYTES:
         warnings.append(f"{folder}: {free // 10**6} MB left on the disk")
     frame_s, _ = status.ages_s()
@@ -90,8 +90,9 @@ def _families(status: Status, folder: Path) -> Iterator[Iterable[str]]:
     yield _family(
         "sink_alarm", "gauge", "1: look after it", [(of, bool(s.alarm)) for of, s in sinks]
     )
+    yield _family("disk_free_bytes", "gauge", "free for results", [({}, free_bytes(folder))])
     yield _family(
-        "disk_free_bytes", "gauge", "free for results", [({}, shutil.disk_usage(folder).free)]
+        "alarms", "gauge", "what somebody has to look after", [({}, len(status.alarms()))]
     )
 
 

@@ -66,12 +66,15 @@ class Publisher:
         self._timer.join()
         self._stack.close()
 
-    def publish(self, record: Json, age_s: float) -> Message:
-        """Publish the targets of a record whose frame was taken `age_s` seconds ago."""
+    def publish(self, record: Json, age_s: float, notes: Sequence[str] = ()) -> Message:
+        """Publish the targets of a record whose frame was taken `age_s` seconds ago; `notes` are
+        further reason codes, which take no target away.
+        """
         with self._changed:
             made = message(
                 record, self._sequence, self._origin, age_s=age_s, valid_for_s=self.valid_for_s
             )
+            made = replace(made, reasons=(*made.reasons, *notes))
             self._send(made)
             self._changed.notify()
         return made

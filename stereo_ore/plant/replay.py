@@ -13,14 +13,14 @@ DEFAULT_PERIOD_S = 1.0
 
 
 def frames(folder: Path) -> Iterator[Json]:
-    """Records of a finished or unfinished run, in order.
+    """Records of a finished or unfinished run, in order, without frames that were skipped.
 
     Raises
     ------
     SourceError
         When there are none, or a line is no record.
     """
-    yield from Results(folder).records
+    return (each for each in Results(folder).each_record() if each["status"] != "skipped")
 
 
 def schedule(folder: Path, rate_hz: float | None, speed: float) -> Iterator[tuple[float, Json]]:

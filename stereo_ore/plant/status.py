@@ -6,6 +6,7 @@ import threading
 import time
 from bisect import bisect_left
 from collections import Counter, deque
+from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -32,10 +33,14 @@ class Counts:
 
 
 class Status:
-    """Counts frames; may be read from any thread."""
+    """Counts frames; may be read from any thread. `disk` tells what keeps results from being
+    written.
+    """
 
-    def __init__(self, source: LiveSource, publisher: Publisher) -> None:
-        self._source, self._publisher = source, publisher
+    def __init__(
+        self, source: LiveSource, publisher: Publisher, disk: Callable[[], str] = str
+    ) -> None:
+        self._source, self._publisher, self._disk = source, publisher, disk
         self._lock = threading.Lock()
         self._times: deque[float] = deque(maxlen=RATE_FRAMES)
         self._counts = Counts()
@@ -78,7 +83,13 @@ class Status:
 
     def alarms(self) -> list[str]:
         """What somebody has to look after."""
-        return [f"{state.name}: {state.alarm}" for state in self._publisher.states() if state.alarm]
+        sinks = [f"{state.name}: {state.alarm}" for state in self.publisher.states() if state.alarm]
+        return [*sinks, *filter(None, (self.disk_fault,))]
+
+    @property
+    def disk_fault(self) -> str:
+        """What keeps results from being written; empty while nothing does."""
+        return self._disk()
 
     @property
     def publisher(self) -> Publisher:
@@ -101,6 +112,7 @@ class Status:
         span = now - times[0] if len(times) > 1 else 0.0
         return {
             "source": self._source.state(),
+            "alarms": self.alarms(),
             "sinks": [asdict(state) for state in self._publisher.states()],
             "frames": statuses,
             "frame_rate_hz": round((len(times) - 1) / span, 3) if span else None,

@@ -1,23 +1,23 @@
-"""Frames that appear in a folder: complete ones only, each once, in the natural order of their
-names.
+"""Frames that appear in a folder: complete ones only, each once, in the order of their arrival.
 
 A frame is complete when both eyes are there and their files are: PNG and JPEG by their end marker,
-other formats when they have stopped growing. A frame that stays incomplete holds up those behind it
-for `patience_s` and is then handed on as it is, so that it is recorded as failed. A frame that
-sorts before one already handed on comes too late: it is counted, and never processed. So the name
-of the last frame done is all that a restart needs to know.
+other formats when they have stopped growing. A frame that stays incomplete for `patience_s` is
+handed on as it is, so that it is recorded as failed; it holds up nobody. Order goes by when files
+were written, then by names: a counter that is reset, a new month or names of any kind lose nothing,
+and a name that is used again is a new frame.
 
-The age of a frame counts from when it was first seen here, by a clock that nobody sets: a share's
-server may have another time of day. Only for frames that were there at the start its files' times
-are all that is known.
+When more frames wait than `queue`, the newest is next, and those it has overtaken are handed on to
+be recorded as skipped: an arm needs to know what lies there now.
+
+A frame is as old as its name or its files say, and never younger than since it was first seen here,
+by a clock that nobody sets. Where a share's server has another time of day, `trust_times` is off.
 """
 
 from __future__ import annotations
 
 import logging
-import os
 import threading
-import time
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,10 +26,18 @@ from stereo_ore.config.models import MAX_PIXELS
 from stereo_ore.errors import FrameError, SourceError
 from stereo_ore.io.recordings import expect_eyes, frame_size, limit_pixels
 from stereo_ore.io.recordings.folder import ImagePairs
-from stereo_ore.io.recordings.images import is_complete
-from stereo_ore.io.recordings.names import natural_key
+from stereo_ore.io.recordings.images import IMAGE_SUFFIXES, is_complete
+from stereo_ore.io.recordings.layouts import Listing, list_files
+from stereo_ore.io.recordings.names import (
+    STAMPS_FROM_NS,
+    STAMPS_TO_NS,
+    name_stamp,
+    natural_key,
+)
 from stereo_ore.plant.arrivals import Arrival, arrivals
+from stereo_ore.plant.clock import SYSTEM, Clock
 from stereo_ore.plant.frames import LiveFrame, Position
+from stereo_ore.plant.inbox import Inbox, Look, look_at
 from stereo_ore.types import StereoPair
 
 log = logging.getLogger(__name__)
@@ -38,26 +46,54 @@ SETTLED_S = 1.0
 """A file in a format without an end marker is complete when it has not changed for this time."""
 SCAN_SHARE = 0.25
 """At most this share of the time is spent listing the folder, however large it grows."""
-PRUNE_AT = 100_000
-"""Names of files done are forgotten, where the files are gone, when there are so many."""
 MOST_SKEW_S = 1.0
 """Clocks of files and of this machine may differ by so much without a word."""
+LEDGER_SLACK_NS = 24 * 3600 * 10**9
+"""What was handled is looked up this much farther back than the oldest file: clocks may differ."""
 
 
-@dataclass(frozen=True)
-class _Pending:
-    """The next frame while it is not complete: what its files look like, and since when."""
+@dataclass
+class _Waiting:
+    """A frame that is not handed on yet: what its files look like, and since when.
 
-    name: str
-    looks: tuple[tuple[int, int], ...]
-    since: float
+    `seen_s` is None for one that was there at the start.
+    """
+
+    arrival: Arrival
+    seen_s: float | None
+    looks: tuple[Look, ...] = ()
+    since_s: float = 0.0
+    whole: bool = False
+    gone: bool = False
+
+    @property
+    def written_ns(self) -> int:
+        """When its files were last written; 0 when they are gone."""
+        return max((look[0] for look in self.looks), default=0)
+
+    @property
+    def order(self) -> tuple[int, list[tuple[int, int, str]]]:
+        """By arrival, then by name."""
+        return self.written_ns, natural_key(self.arrival.name)
 
 
 class FolderWatch:
     """Watches `folder`, which may be empty at first, in any layout of image files that `run` knows.
 
-    `eye_size` (width, height) [px] is that of the calibration: an image of that size is no
-    side-by-side one.
+    Parameters
+    ----------
+    folder : Path
+        Where frames appear; nothing is written there.
+    poll_s, patience_s : float
+        How often it is looked at, and how long an incomplete frame is waited for [s].
+    max_pixels : int
+        Larger images are refused.
+    eye_size : (width, height)
+        That of the calibration [px]: an image of that size is no side-by-side one.
+    queue : int
+        Frames that may wait for their turn; 0: any number, none is skipped.
+    trust_times : bool
+        Whether names and files tell the age of a frame.
     """
 
     def __init__(
@@ -68,6 +104,9 @@ class FolderWatch:
         patience_s: float = 10.0,
         max_pixels: int = MAX_PIXELS,
         eye_size: tuple[int, int] | None = None,
+        queue: int = 0,
+        trust_times: bool = True,
+        clock: Clock = SYSTEM,
     ) -> None:
         if not folder.is_dir():
             raise SourceError(
@@ -77,163 +116,213 @@ class FolderWatch:
             )
         self.folder = folder
         self.name = str(folder)
+        self.inbox = Inbox(folder, clock)
         self._poll_s, self._patience_s, self._max_pixels = poll_s, patience_s, max_pixels
-        self._eye_size = eye_size
-        self._pending: _Pending | None = None
-        self._done: set[str] = set()
-        self._prune_at = PRUNE_AT
+        self._eye_size, self._queue, self._trust = eye_size, queue, trust_times
+        self._clock = clock
+        self._waiting: dict[str, _Waiting] = {}
+        self._order: deque[_Waiting] = deque()
+        self._overtaken: deque[_Waiting] = deque()
         self._pairs = False
-        self._late = 0
-        self._waiting = 0
+        self._skipped = 0
         self._problem = ""
-        self._seen_s: dict[str, float] = {}
         self._told_skew = False
-        self._waited_s = 0.0
-        self._quiet_s = 0.0
+        self._looked_s = 0.0
 
     def frames(self, start: Position, stop: threading.Event) -> Iterator[LiveFrame]:
-        """Frames that sort after `start.after`, as they become complete."""
-        after, index, watching, began = start.after, start.index, False, time.monotonic()
+        """Frames that were not handled yet at `start`, as they become complete."""
+        index = start.index
+        first: Position | None = start
         while not stop.is_set():
-            self._quiet_s, began = time.monotonic() - began, time.monotonic()
-            waiting = self._new_frames(after, late=watching)
-            self._see(waiting, watching)
-            watching, scan_s = True, time.monotonic() - began
-            pause_s = max(self._poll_s, scan_s / SCAN_SHARE)
-            for place, arrival in enumerate(waiting):
-                # What arrives while a frame is worked on is to be seen soon: its age counts from
-                # then.
-                overdue = place > 0 and time.monotonic() - began > pause_s
-                if stop.is_set() or overdue or not self._ready(arrival):
-                    break
-                after, self._waiting = arrival.name, len(waiting) - place - 1
-                self._done.update(map(str, arrival.files))
-                yield self._frame(arrival, index)
+            began = self._clock.monotonic()
+            if looked := self._look(first):
+                first = None
+            pause_s = max(self._poll_s, (self._clock.monotonic() - began) / SCAN_SHARE)
+            # What arrives while frames are worked on is to be seen soon: its age counts from then.
+            while looked and not stop.is_set() and (frame := self._next(index)):
+                yield frame
                 index += 1
-            stop.wait(max(0.0, began + pause_s - time.monotonic()))
+                if self._clock.monotonic() - began > pause_s:
+                    break
+            self._clock.wait(stop, began + pause_s - self._clock.monotonic())
 
     def state(self) -> str:
         """What is waited for."""
+        waiting = list(self._waiting.values())
+        incomplete = [each.arrival.name for each in waiting if not each.whole]
         parts = [f"watching {self.folder}"]
-        if self._waiting:
-            parts.append(f"{self._waiting} waiting")
-        if self._pending:
-            parts.append(f"{self._pending.name} is not complete")
-        if self._late:
-            parts.append(f"{self._late} came too late and are left out")
+        if len(waiting) > len(incomplete):
+            parts.append(f"{len(waiting) - len(incomplete)} waiting")
+        if incomplete:
+            parts.append(f"{incomplete[0]} is not complete")
+        if self._skipped:
+            parts.append(f"{self._skipped} were skipped for newer ones")
         if self._problem:
             parts.append(self._problem)
         return "; ".join(parts)
 
-    def _new_frames(self, after: str | None, late: bool) -> list[Arrival]:
-        """Frames that sort after `after`; the others are done or, once the folder is being watched,
-        too late.
+    def _look(self, start: Position | None) -> bool:
+        """Take note of what has come since the last look; at the first, of what a run that goes on
+        has not done yet. False when the folder can't be read.
         """
         try:
-            found, self._problem = arrivals(self.folder, self._done), ""
+            listing = self.inbox.new_files()
+            if start:
+                self._leave_out(start, listing)
+                listing = self.inbox.new_files()
+            found, self._problem = arrivals(self.folder, listing), ""
         except OSError as fault:
             # A network folder comes back; until then targets expire.
-            found, self._problem = [], f"can't be read: {fault.strerror}"
+            self._problem = f"can't be read: {fault.strerror}"
+            return False
         # A picture without a mark beside left and right ones is no side-by-side frame.
         self._pairs |= any(isinstance(arrival.source, ImagePairs) for arrival in found)
         if self._pairs:
             found = [arrival for arrival in found if isinstance(arrival.source, ImagePairs)]
-        if after is None:
-            return found
-        limit = natural_key(after)
-        past = [arrival for arrival in found if natural_key(arrival.name) <= limit]
-        self._leave_out(past)
-        if late and past:
-            self._late += len(past)
-            log.warning(
-                "%d frames in %s sort before %s, which is done: left out",
-                len(past),
-                self.folder,
-                after,
-            )
-        return found[len(past) :]
+        now_s, earlier = self._clock.monotonic(), self._waiting
+        current: dict[str, _Waiting] = {}
+        for arrival in found:
+            waiting = earlier.get(arrival.key) or _Waiting(arrival, None if start else now_s)
+            waiting.arrival = arrival
+            looks = tuple(look_at(file) or (0, 0) for file in arrival.files)
+            if looks != waiting.looks:
+                waiting.looks, waiting.since_s, waiting.whole = looks, now_s, False
+            if arrival.key not in earlier and not start:
+                self._check_clock(waiting, now_s - self._looked_s)
+            current[arrival.key] = waiting
+        self._waiting = current
+        self._order = deque(sorted(current.values(), key=lambda waiting: waiting.order))
+        self._looked_s = now_s
+        return True
 
-    def _leave_out(self, past: list[Arrival]) -> None:
-        self._done.update(str(file) for arrival in past for file in arrival.files)
-        if len(self._done) > self._prune_at:
-            self._done = {file for file in self._done if os.path.exists(file)}
-            self._prune_at = max(PRUNE_AT, 2 * len(self._done))
+    def _leave_out(self, start: Position, listing: Listing) -> None:
+        """Take for handled what the run that goes on has handled."""
+        waiting = {str(file): file for files in listing.values() for file in files}
+        changed = [file.stat().st_ctime_ns for file in waiting.values() if file.exists()]
+        if not changed:
+            return
+        for path, written_ns in start.handled(min(changed) - LEDGER_SLACK_NS):
+            file = waiting.get(path)
+            look = file and look_at(file)
+            if file and look and look[0] <= written_ns:
+                self.inbox.handle(file, look)
 
-    def _see(self, waiting: Sequence[Arrival], watching: bool) -> None:
-        """Note when frames are first seen; those that were there at the start are as old as their
-        files.
+    def _next(self, index: int) -> LiveFrame | None:
+        """The frame that is next, where one is ready; what it has overtaken comes when nothing
+        else is ready.
         """
-        now_s = time.monotonic()
-        earlier = self._seen_s
-        self._seen_s = {}
-        for arrival in waiting:
-            if arrival.name in earlier:
-                self._seen_s[arrival.name] = earlier[arrival.name]
-            elif watching:
-                self._seen_s[arrival.name] = now_s
-                self._check_clock(arrival)
+        while self._order and self._order[0].gone:
+            self._order.popleft()
+        order = [waiting for waiting in self._order if not waiting.gone] if self._queue else ()
+        behind = 0 < self._queue < sum(waiting.arrival.paired for waiting in order)
+        for place, waiting in enumerate(reversed(order) if behind else self._order):
+            waited_s = None if waiting.gone else self._ready(waiting)
+            if waited_s is not None:
+                self._hand_on(waiting)
+                if behind:
+                    self._overtake(order[: len(order) - place - 1])
+                return self._frame(waiting, index, waited_s)
+        if self._overtaken:
+            return self._frame(self._overtaken.popleft(), index, 0.0, skipped=True)
+        return None
 
-    def _check_clock(self, arrival: Arrival) -> None:
+    def _overtake(self, older: Sequence[_Waiting]) -> None:
+        """Skip those that are complete among the frames older than one that is handed on."""
+        for waiting in older:
+            if waiting.arrival.paired and (self._settled(waiting) or self._ready(waiting) == 0.0):
+                self._hand_on(waiting)
+                self._overtaken.append(waiting)
+                self._skipped += 1
+
+    def _settled(self, waiting: _Waiting) -> bool:
+        """Whether its files have not changed for a while, by either clock."""
+        unchanged_s = self._clock.monotonic() - waiting.since_s
+        age_s = (self._clock.time_ns() - waiting.written_ns) / 1e9
+        return max(unchanged_s, age_s) > SETTLED_S
+
+    def _hand_on(self, waiting: _Waiting) -> None:
+        waiting.gone = True
+        self._waiting.pop(waiting.arrival.key, None)
+        for file, look in zip(waiting.arrival.files, waiting.looks, strict=True):
+            self.inbox.handle(file, look)
+
+    def _check_clock(self, waiting: _Waiting, quiet_s: float) -> None:
         """Say once when the clock of the files is not this machine's, by a frame that has come
-        since the last look.
+        since the last look, `quiet_s` ago.
         """
-        skew_s = (time.time_ns() - _changed_ns(arrival)) / 1e9
-        slack_s = MOST_SKEW_S + (self._quiet_s if skew_s > 0 else 0)
-        if abs(skew_s) > slack_s and not self._told_skew:
-            self._told_skew = True
-            way = "behind" if skew_s > 0 else "ahead of"
-            log.warning(
-                "the clock of files in %s is %.1f s %s this machine's: ages of frames count from"
-                " when they are seen",
-                self.folder,
-                abs(skew_s),
-                way,
-            )
-
-    def _ready(self, arrival: Arrival) -> bool:
-        """Whether the frame may be handed on: complete, or waited for long enough."""
-        try:
-            looks = tuple(
-                (stat.st_size, stat.st_mtime_ns) for stat in (file.stat() for file in arrival.files)
-            )
-        except OSError:
-            looks = ()
-        pending = self._pending
-        if pending is None or (pending.name, pending.looks) != (arrival.name, looks):
-            pending = self._pending = _Pending(arrival.name, looks, time.monotonic())
-        unchanged_s = time.monotonic() - pending.since
-        if arrival.paired and all(_is_whole(file, unchanged_s) for file in arrival.files):
-            self._pending, self._waited_s = None, 0.0
-            return True
-        if unchanged_s >= self._patience_s:
-            self._pending, self._waited_s = None, unchanged_s
-            log.warning(
-                "frame %s was not complete and did not change for %.0f s", arrival.name, unchanged_s
-            )
-            return True
-        return False
-
-    def _frame(self, arrival: Arrival, index: int) -> LiveFrame:
-        source = limit_pixels(arrival.source, self._max_pixels)
-        arrival = replace(
-            arrival, source=expect_eyes(source, self._eye_size) if self._eye_size else source
+        late_s = (self._clock.time_ns() - (_stated_ns(waiting) or 0)) / 1e9
+        slack_s = MOST_SKEW_S + (quiet_s if late_s > 0 else 0)
+        if self._told_skew or not _stated_ns(waiting) or abs(late_s) <= slack_s:
+            return
+        self._told_skew = True
+        counted = "their targets hold for less, or not at all (see --age)"
+        log.warning(
+            "the clock of files in %s is %.1f s %s this machine's, or they are old when they come:"
+            " %s",
+            self.folder,
+            abs(late_s),
+            "behind" if late_s > 0 else "ahead of",
+            counted if self._trust and late_s > 0 else "ages of frames count from when they come",
         )
-        seen_s = self._seen_s.get(arrival.name)
-        arrived_ns = _changed_ns(arrival)
+
+    def _ready(self, waiting: _Waiting) -> float | None:
+        """Time for which a frame that may be handed on was waited for in vain [s]; None for one
+        that may not.
+        """
+        unchanged_s = self._clock.monotonic() - waiting.since_s
+        if waiting.arrival.paired:
+            files = waiting.arrival.files
+            waiting.whole = waiting.whole or all(_is_whole(file, unchanged_s) for file in files)
+            if waiting.whole:
+                return 0.0
+        if unchanged_s < self._patience_s:
+            return None
+        log.warning(
+            "frame %s was not complete and did not change for %.0f s",
+            waiting.arrival.name,
+            unchanged_s,
+        )
+        return unchanged_s
+
+    def _frame(
+        self, waiting: _Waiting, index: int, waited_s: float, skipped: bool = False
+    ) -> LiveFrame:
+        arrival = waiting.arrival
+        source = limit_pixels(arrival.source, self._max_pixels)
+        source = expect_eyes(source, self._eye_size) if self._eye_size else source
+        now_ns, seen_s = self._clock.time_ns(), waiting.seen_s
+        arrived_ns = waiting.written_ns or now_ns
         if seen_s is not None:
-            arrived_ns = time.time_ns() - round(1e9 * (time.monotonic() - seen_s))
-        waited_s = self._waited_s
+            arrived_ns = now_ns - round(1e9 * (self._clock.monotonic() - seen_s))
 
         def read() -> StereoPair:
             try:
-                pair = arrival.source.read(0)
+                pair = source.read(0)
             except FrameError as fault:
                 raise _after_waiting(fault, waited_s) from None
-            if pair.stamp_source == "modification time":
+            if pair.stamp_source == "modification time" and seen_s is not None:
                 pair = replace(pair, stamp_ns=arrived_ns, stamp_source="arrival")
             return replace(pair, index=index)
 
-        return LiveFrame(arrival.name, index, arrived_ns, arrival.files, read, seen_s)
+        return LiveFrame(
+            arrival.name,
+            index,
+            arrived_ns,
+            arrival.files,
+            read,
+            seen_s,
+            _stated_ns(waiting) if self._trust else None,
+            waiting.written_ns,
+            "a newer frame was there" if skipped else "",
+            self._clock,
+        )
+
+
+def _stated_ns(waiting: _Waiting) -> int | None:
+    """When a frame was taken at the latest, by its name and its files."""
+    stamp_ns = name_stamp(waiting.arrival.name) or 0
+    stamps = [stamp_ns] if STAMPS_FROM_NS <= stamp_ns < STAMPS_TO_NS else []
+    return min([*stamps, *filter(None, (waiting.written_ns,))], default=None)
 
 
 def _after_waiting(fault: FrameError, waited_s: float) -> FrameError:
@@ -257,18 +346,10 @@ def _is_whole(file: Path, unchanged_s: float) -> bool:
     return bool(data) and unchanged_s >= SETTLED_S if complete is None else complete
 
 
-def _changed_ns(arrival: Arrival) -> int:
-    """When its files got their content here: copying tools carry the modification time over, not
-    the change time.
-    """
-    return max(
-        (file.stat().st_ctime_ns for file in arrival.files if file.exists()), default=time.time_ns()
-    )
-
-
 def first_size(folder: Path) -> tuple[int, int] | None:
     """Width and height [px] of the first frame that lies in a folder already and can be read."""
-    for arrival in arrivals(folder, ()) if folder.is_dir() else ():
+    listing = list_files(folder, IMAGE_SUFFIXES) if folder.is_dir() else {}
+    for arrival in arrivals(folder, listing):
         if arrival.paired and (size := frame_size(arrival.source)):
             return size
     return None

@@ -11,6 +11,7 @@ import numpy as np
 
 from stereo_ore.io.results import Json, Results
 from stereo_ore.report import cloud_view, pictures
+from stereo_ore.times import utc
 
 DETAILED_FRAMES = 8
 THUMBNAILS = 120
@@ -73,7 +74,8 @@ def _row(record: Json, timing: Json | None) -> dict[str, Any]:
     return {
         "frame": record["frame"],
         "index": record["index"],
-        "stamp_ns": None if record["stamp_ns"] is None else str(record["stamp_ns"]),
+        "stamp_utc": utc(record["stamp_ns"]),
+        "stamp_source": record.get("stamp_source"),
         "status": record["status"],
         "reasons": [f"{reason['code']}: {reason['detail']}" for reason in record["reasons"]],
         "ores": record["counts"]["ores"],

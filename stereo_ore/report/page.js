@@ -127,6 +127,7 @@ function choose(place) {
     detail = data.details[place];
   at("frame-title").textContent =
     `Frame ${frame.frame}: ${frame.status}, ${plural(frame.ores, "ore")}, ${plural(frame.targets, "target")}`;
+  at("frame-stamp").textContent = stamp(frame) && `${stamp(frame)} UTC (${frame.stamp_source || "source unknown"})`;
   at("frame-reasons").textContent =
     frame.reasons.join(" · ") +
     (detail ? "" : " The 3-D view, the charts and the ores are kept for the frames marked 3-D.");
@@ -175,6 +176,9 @@ function stripButton(place, picture) {
   return button;
 }
 
+// To the millisecond; all nine digits are in frames.jsonl.
+const stamp = frame => (frame.stamp_utc ? frame.stamp_utc.slice(0, 23).replace("T", " ") : "");
+
 const FRAME_COLUMNS = [
   ["number", frame => frame.index],
   ["frame", frame => frame.frame, null, "text"],
@@ -184,6 +188,7 @@ const FRAME_COLUMNS = [
   ["targets", frame => frame.targets],
   ["largest, middle dimension [mm]", frame => frame.largest_m, frame => fixed(frame.largest_m, 0, 1000)],
   ["time [ms]", frame => frame.total_ms, frame => fixed(frame.total_ms, 0)],
+  ["stamp [UTC]", frame => frame.stamp_utc, stamp, "text"],
   ["reasons", frame => frame.reasons.join(" · "), null, "text long"],
 ];
 

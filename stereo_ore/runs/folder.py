@@ -9,27 +9,32 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any
+from typing import Any, BinaryIO
 
 from stereo_ore.errors import OutputError
 from stereo_ore.io.atomic import (
     guarded,
     make_folder,
     remove_leftovers,
-    write_bytes,
+    write_bytes_where_new,
     write_lines,
     write_text,
 )
+from stereo_ore.io.lock import FolderLock
 from stereo_ore.io.ore_table import ores_csv
+from stereo_ore.io.segments import FOLDER
+from stereo_ore.record import to_line
 
 LINES = ("frames.jsonl", "timings.jsonl", "inputs.jsonl")
 FRAME_FOLDERS = ("clouds", "overlays", "stages", "pictures")
 FRAME_SUFFIXES = (".ply", ".png", ".npz")
-WRITTEN = (*LINES, *(f"{name}.part" for name in LINES), *FRAME_FOLDERS, "run.json")
+WRITTEN = (*LINES, *(f"{name}.part" for name in LINES), *FRAME_FOLDERS, "run.json", FOLDER)
 """What a run makes in its folder and writes into or removes from."""
 
 
@@ -40,6 +45,13 @@ class FrameLines:
     record: str
     timing: str
     inputs: str
+
+    def thinned(self) -> FrameLines:
+        """The same without ores, and a reason that says so."""
+        record = json.loads(self.record)
+        reason = {"code": "THINNED", "detail": "the disk was full: the record is without its ores"}
+        less = {"ores": [], "targets": [], "reasons": [*record["reasons"], reason]}
+        return replace(self, record=to_line(record | less))
 
 
 class RunFolder:
@@ -56,30 +68,37 @@ class RunFolder:
         Continue after the last whole frame of an unfinished run.
     overwrite : bool
         Replace a different run.
+    lock : bool
+        Keep other processes out; False where the caller does so.
     """
 
     def __init__(
-        self, folder: Path, description: Mapping[str, Any], *, resume: bool, overwrite: bool
+        self,
+        folder: Path,
+        description: Mapping[str, Any],
+        *,
+        resume: bool,
+        overwrite: bool,
+        lock: bool = True,
     ) -> None:
         self.folder = folder
         self.description = dict(description, digest=digest(description))
-        self._check_links()
+        check_links(folder)
         earlier = self._check_earlier(resume, overwrite)
         make_folder(folder)
+        self._lock = FolderLock(folder) if lock else None
         if earlier and not resume:
             self._remove_results()
         self.done = self._trim() if resume else 0
-        write_text(
-            folder / "run.json", json.dumps(self.description, indent=1, ensure_ascii=False) + "\n"
-        )
-        self._files: dict[str, IO[str]] = {}
+        text = json.dumps(self.description, indent=1, ensure_ascii=False) + "\n"
+        # On a full disk a run goes on only where nothing is written that is there already.
+        write_bytes_where_new(folder / "run.json", text.encode(errors="backslashreplace"))
+        self._files: dict[str, BinaryIO] = {}
 
     def __enter__(self) -> RunFolder:
         def open_all() -> None:
             for name in LINES:
-                self._files[name] = self._part(name).open(
-                    "a", encoding="utf-8", errors="backslashreplace", newline="\n"
-                )
+                self._files[name] = self._part(name).open("ab", buffering=0)
 
         guarded(self.folder, open_all)
         return self
@@ -90,27 +109,55 @@ class RunFolder:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the line files, and let go of the folder."""
         for file in self._files.values():
             file.close()
+        if self._lock:
+            self._lock.close()
 
     def earlier(self) -> Iterator[FrameLines]:
         """The lines of the frames that are done already."""
-        files = [iter(_whole_lines(self._part(name))) for name in LINES]
+        files = [whole_lines(self._part(name)) for name in LINES]
         return (
             FrameLines(*(line.decode("utf-8", "replace") for line in lines))
             for lines in zip(*files, strict=True)
         )
 
     def add(self, lines: FrameLines) -> None:
-        """Append one frame, flushed so that a kill loses no more than the frame in work."""
-        for name, line in zip(LINES, (lines.record, lines.timing, lines.inputs), strict=True):
-            file = self._files[name]
+        """Append one frame, at once, so that a kill loses no more than the frame in work.
 
-            def write(file: IO[str] = file, line: str = line) -> None:
-                file.write(line + "\n")
-                file.flush()
+        Raises
+        ------
+        OutputError
+            When it can't be written; the files are then as they were before.
+        """
+        sizes = {name: os.fstat(file.fileno()).st_size for name, file in self._files.items()}
+        try:
+            for name, line in zip(LINES, (lines.record, lines.timing, lines.inputs), strict=True):
+                guarded(self._part(name), lambda name=name, line=line: self._append(name, line))  # type: ignore[misc]
+        except OutputError:
+            for name, size in sizes.items():
+                self._files[name].truncate(size)
+            raise
 
-            guarded(self._part(name), write)
+    def _append(self, name: str, line: str) -> None:
+        left = memoryview(line.encode("utf-8", "backslashreplace") + b"\n")
+        while left:
+            left = left[self._files[name].write(left) :]
+
+    @property
+    def is_there(self) -> bool:
+        """Whether lines that are added are found under the names of their files."""
+        try:
+            return all(
+                os.path.samestat(os.fstat(file.fileno()), os.stat(self._part(name)))
+                for name, file in self._files.items()
+            )
+        except (OSError, ValueError):
+            return False
 
     def finish(self) -> None:
         """Give the line files their final names, and write what is made from all of them."""
@@ -135,16 +182,6 @@ class RunFolder:
 
     def _part(self, name: str) -> Path:
         return self.folder / f"{name}.part"
-
-    def _check_links(self) -> None:
-        """Refuse a link in the place of what is written: what it points to belongs to somebody
-        else.
-        """
-        for name in WRITTEN:
-            if (self.folder / name).is_symlink():
-                remedy = "Remove it, or name another --out; --out itself may be a link"
-                raise OutputError("is a link, and links in a folder of results aren't followed",
-                                  file=self.folder / name, remedy=remedy)  # fmt: skip
 
     def _check_earlier(self, resume: bool, overwrite: bool) -> bool:
         """Whether the folder holds a run that this one may continue or replace."""
@@ -171,11 +208,12 @@ class RunFolder:
     def _trim(self) -> int:
         """Cut every line file back to the frames that all of them hold whole; their number."""
         self._reopen()
-        texts = {name: _whole_lines(self._part(name)) for name in LINES}
-        count = min(len(lines) for lines in texts.values())
-        for name, lines in texts.items():
-            if self._part(name).exists():
-                write_bytes(self._part(name), b"".join(lines[:count]))
+        parts = [self._part(name) for name in LINES]
+        count = min(sum(1 for _ in whole_lines(part)) for part in parts)
+        for part in parts:
+            size = sum(len(line) for line in islice(whole_lines(part), count))
+            if part.exists() and part.stat().st_size > size:
+                guarded(part, lambda part=part, size=size: os.truncate(part, size))  # type: ignore[misc]
         return count
 
     def _reopen(self) -> None:
@@ -203,10 +241,26 @@ class RunFolder:
                     file.unlink()
 
 
-def _whole_lines(path: Path) -> list[bytes]:
+def check_links(folder: Path) -> None:
+    """Refuse a link in the place of what is written: what it points to belongs to somebody else.
+
+    Raises
+    ------
+    OutputError
+        Where there is one.
+    """
+    for name in WRITTEN:
+        if (folder / name).is_symlink():
+            remedy = "Remove it, or name another --out; --out itself may be a link"
+            raise OutputError("is a link, and links in a folder of results aren't followed",
+                              file=folder / name, remedy=remedy)  # fmt: skip
+
+
+def whole_lines(path: Path) -> Iterator[bytes]:
     """Lines that end; in bytes, for text knows more ends of a line than JSON lines have."""
-    data = path.read_bytes() if path.exists() else b""
-    return data[: data.rfind(b"\n") + 1].splitlines(keepends=True)
+    if path.exists():
+        with path.open("rb") as lines:
+            yield from (line for line in lines if line.endswith(b"\n"))
 
 
 def digest(description: Mapping[str, Any]) -> str:

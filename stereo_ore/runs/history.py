@@ -67,7 +67,7 @@ class Watch:
             () if record["status"] == "failed" else (*self._frozen(images), *self._fallen(record))
         )
         if reasons:
-            record = _degraded(record, reasons)
+            record = degraded(record, reasons)
         elif self._config.confirm:
             record = _confirmed(record, self._lumps)
         if record is not read:
@@ -157,7 +157,8 @@ def _confirmed(record: Json, before: F64) -> Json:
     }
 
 
-def _degraded(record: Json, reasons: Iterable[Reason]) -> dict[str, Any]:
+def degraded(record: Json, reasons: Iterable[Reason]) -> dict[str, Any]:
+    """The record without targets, for further reasons."""
     new = [{"code": reason.code, "detail": reason.detail} for reason in reasons]
     counts = record["counts"] | {"targets": 0}
     return record | {

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from stereo_ore.chain import Chain
-from stereo_ore.io.atomic import write_bytes, write_text
+from stereo_ore.io.atomic import write_bytes_where_new
 from stereo_ore.io.calibration import dump
 from stereo_ore.io.parameters import dump_config
 from stereo_ore.runs.driver import sha256
@@ -57,10 +57,10 @@ def description(source: str, chain: Chain, files: InputFiles, **more: Any) -> di
 
 def write_inputs(out: Path, chain: Chain, files: InputFiles) -> None:
     """Write what is needed to repeat the run beside its results."""
-    write_text(out / "config.yaml", dump_config(chain.config))
-    write_text(out / "calibration.yaml", dump(chain.calibration))
+    write_bytes_where_new(out / "config.yaml", dump_config(chain.config).encode())
+    write_bytes_where_new(out / "calibration.yaml", dump(chain.calibration).encode())
     if files.site:
-        write_bytes(out / "site.yaml", files.site.read_bytes())
+        write_bytes_where_new(out / "site.yaml", files.site.read_bytes())
 
 
 def versions() -> Mapping[str, str]:

@@ -70,6 +70,22 @@ def reproject(
     )
 
 
+_HORIZON_M = 1e6
+"""Farther than any pair of eyes can tell from infinity."""
+
+
+def nearest_beyond(
+    disparity: Disparity, pair: RectifiedPair, volume: Volume | None, config: CloudConfig
+) -> float | None:
+    """Depth [m] of the nearest point that `config.max_depth_m` alone keeps out of the cloud; None
+    without one.
+    """
+    unlimited = config.model_copy(update={"max_depth_m": _HORIZON_M})
+    points = reproject(disparity, pair, volume, unlimited, 1.0)
+    beyond = points.xyz[points.xyz[:, 2] > config.max_depth_m, 2]
+    return float(beyond.min()) if len(beyond) else None
+
+
 def _contained(depth: F32, x: F32, y: F32, volume: Volume) -> Mask:
     """Which pixels (h, w), at their depths [m] on rays of slopes x (w,) and y (h,), the volume
     contains.

@@ -8,20 +8,20 @@ import numpy as np
 
 from stereo_ore.config.models import OrderConfig
 from stereo_ore.transforms import apply
-from stereo_ore.types import F64, Site, Solid, StrikePlan
+from stereo_ore.types import F64, Reason, Site, Solid, StrikePlan
 
 
 def order(
     solids: Sequence[Solid | None], plans: Sequence[StrikePlan], site: Site, config: OrderConfig
 ) -> tuple[int, ...]:
-    """Ids of the lumps that can be struck, best first.
+    """Ids of the lumps that are to be broken and can be struck, best first.
 
     Each gets a sum: oversize (half when unknown), height of its strike among the others', its
     strike's score, less the arm's way to it from the middle of its reach when that is known. Sums
     are rounded to the configured resolution so that noise does not reorder equals; the lower id
     goes first among them.
     """
-    ids = [i for i, plan in enumerate(plans, 1) if plan.strikes]
+    ids = [i for i, plan in enumerate(plans, 1) if plan.strikes and _wanted(solids[i - 1], config)]
     if not ids:
         return ()
     best = [plans[i - 1].strikes[0] for i in ids]
@@ -39,6 +39,19 @@ def order(
     )
     rank = np.round(total / config.resolution).astype(int)
     return tuple(i for _, i in sorted(zip((-rank).tolist(), ids, strict=True)))
+
+
+def passing(solids: Sequence[Solid | None], config: OrderConfig) -> tuple[tuple[Reason, ...], ...]:
+    """PASSES for each lump that is no target because it falls through by itself; entry i belongs
+    to id i + 1.
+    """
+    reason = Reason("PASSES", "its middle dimension is less than the opening (order.include)")
+    return tuple(() if _wanted(solid, config) else (reason,) for solid in solids)
+
+
+def _wanted(solid: Solid | None, config: OrderConfig) -> bool:
+    """Whether a lump is to be broken: an unknown size may be too large."""
+    return config.include == "all" or solid is None or solid.oversize is not False
 
 
 def _urgency(solid: Solid | None) -> float:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from stereo_ore.types import Ore, OreMap, Site, Solid, StrikePlan, Surface
+from stereo_ore.types import Ore, OreMap, Reason, Site, Solid, StrikePlan, Surface
 
 
 def describe(
@@ -13,9 +15,13 @@ def describe(
     solids: tuple[Solid | None, ...],
     plans: tuple[StrikePlan, ...],
     site: Site,
+    reasons: Sequence[tuple[Reason, ...]],
+    resting: Sequence[tuple[int, int]] = (),
 ) -> tuple[Ore, ...]:
     """Count and locate the lumps of an ore map, in the camera's and where it is known the arm's
     frame.
+
+    `reasons` say of each what else is known; `resting` are pairs of ids (upper, lower).
     """
     height, width = surface.xyz.shape[:2]
     labels = ore_map.labels[surface.y0 : surface.y0 + height, surface.x0 : surface.x0 + width]
@@ -36,6 +42,9 @@ def describe(
             centroids[id],
             solids[id - 1],
             plans[id - 1],
+            reasons[id - 1],
+            carries=tuple(upper for upper, lower in resting if lower == id),
+            carried_by=tuple(lower for upper, lower in resting if upper == id),
         )
         for id in range(1, n + 1)
     )

@@ -67,7 +67,7 @@ def look_around(voxels: VoxelCloud, disparity: Disparity, pair: RectifiedPair) -
     parts = (
         lambda: _doubts(disparity, small),
         lambda: _doubts_of_known(disparity, seen, known, small),
-        lambda: _depth(d, known, own, small),
+        lambda: _depth(d, seen, known, own, small),
         lambda: _steps(d, seen, own, small),
         lambda: _light(pair, disparity, small),
     )
@@ -117,12 +117,12 @@ def _doubts_of_known(disparity: Disparity, seen: F32, known: F32, at: Index) -> 
     yield from ((f"known_{size}", share[size].take(at)) for size in CONTEXT_WINDOWS_PX)
 
 
-def _depth(d: F32, known: F32, own: F32, at: Index) -> Found:
+def _depth(d: F32, seen: F32, known: F32, own: F32, at: Index) -> Found:
     """The voxel's disparity against mean and deviation of those around."""
     middle = np.float32(np.median(own))
     first, second = (
-        _reduce(np.where(d > 0, d - middle, 0)),
-        _reduce(np.where(d > 0, (d - middle) ** 2, 0)),
+        _reduce(np.where(seen, d - middle, 0)),
+        _reduce(np.where(seen, (d - middle) ** 2, 0)),
     )
     for size in CONTEXT_WINDOWS_PX:
         total = _mean(known, size).take(at) + UNKNOWN

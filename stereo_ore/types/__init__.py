@@ -26,11 +26,20 @@ from stereo_ore.types.geometry import (
     Plane,
     Region,
     Rig,
-    Site,
     StereoCalibration,
     Volume,
 )
-from stereo_ore.types.results import FrameResult, Ore, Reason, Solid, Status, Strike, StrikePlan
+from stereo_ore.types.results import (
+    ForeignBody,
+    FrameResult,
+    Ore,
+    Reason,
+    Solid,
+    Status,
+    Strike,
+    StrikePlan,
+)
+from stereo_ore.types.site import Capsule, KeepOut, Polygon, Site
 from stereo_ore.types.stages import (
     Background,
     Bars,
@@ -66,15 +75,19 @@ __all__ = [
     "Background",
     "Bars",
     "CameraModel",
+    "Capsule",
     "Disparity",
     "FilterResult",
+    "ForeignBody",
     "FrameResult",
     "Grizzly",
+    "KeepOut",
     "Mask",
     "Ore",
     "OreMap",
     "Plane",
     "PointCloud",
+    "Polygon",
     "Reason",
     "RectifiedPair",
     "Region",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -68,6 +67,13 @@ class Rig:
     baseline_m: float
     doffs_px: float = 0.0
     disparity_offset_px: float = 0.0
+
+    @property
+    def shift_px(self) -> float:
+        """What turns a disparity as it is measured into fx·B / z [px]: what lies at infinity is
+        measured at minus this.
+        """
+        return self.doffs_px + self.disparity_offset_px
 
     def depth(self, disparity_px: npt.ArrayLike) -> F64:
         """Depth z [m]; NaN where the disparity is NaN or stands for no finite positive depth."""
@@ -165,25 +171,3 @@ class Region:
     def slices(self) -> tuple[slice, slice]:
         """Rows and columns of the rectangle."""
         return slice(self.y0, self.y1), slice(self.x0, self.x1)
-
-
-@dataclass(frozen=True)
-class Site:
-    """Where the camera looks, and the arm; every part may be unknown (None). Plane and volume are
-    in the camera frame.
-
-    `reach_min_m` and `reach_max_m` (3,) bound the tool's tip in the arm frame.
-    """
-
-    T_arm_camera: F64 | None = None
-    volume: Volume | None = None
-    plane: Plane | None = None
-    opening_m: float | None = None
-    bar_width_m: float | None = None
-    background: Path | None = None
-    reach_min_m: F64 | None = None
-    reach_max_m: F64 | None = None
-
-    def __post_init__(self) -> None:
-        if self.T_arm_camera is not None:
-            check_shape(self, "T_arm_camera", self.T_arm_camera, 4, 4)

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from stereo_ore.transforms import apply, rotate
-from stereo_ore.types.arrays import F32, F64
+from stereo_ore.types.arrays import F32, F64, I32, check_shape
 from stereo_ore.types.stages import (
     Disparity,
     FilterResult,
@@ -22,9 +22,9 @@ from stereo_ore.types.stages import (
     VoxelCloud,
 )
 
-Status = Literal["ok", "degraded", "empty", "failed"]
+Status = Literal["ok", "degraded", "empty", "failed", "skipped"]
 """Only an "ok" frame has targets; a "degraded" one has a cloud, but something speaks against acting
-on it."""
+on it; a "skipped" one, of a live run, was not looked at."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,8 @@ class StrikePlan:
 class Ore:
     """One lump: its visible surface, the solid it belongs to, and where to strike.
 
-    `arm` is the same lump in the arm's frame, where that is known.
+    `carries` and `carried_by` are ids of lumps that lie on it and that it lies on. `arm` is the
+    same lump in the arm's frame, where that is known.
     """
 
     id: int
@@ -119,6 +120,8 @@ class Ore:
     plan: StrikePlan
     reasons: tuple[Reason, ...] = ()
     arm: Ore | None = None
+    carries: tuple[int, ...] = ()
+    carried_by: tuple[int, ...] = ()
 
     @property
     def strike(self) -> Strike | None:
@@ -147,6 +150,25 @@ class Ore:
 
 
 @dataclass(frozen=True)
+class ForeignBody:
+    """Something in view that is no ore.
+
+    `source` is "site" for a place of the site's `keep_out` in which something was seen, "image" for
+    what looks like no ore; `pixels` it covers, which are the `share` of the part of the image that
+    was looked at; `outline_px` (K, 2) of its largest part in the left rectified image.
+    """
+
+    name: str
+    source: Literal["site", "image"]
+    pixels: int
+    share: float
+    outline_px: I32
+
+    def __post_init__(self) -> None:
+        check_shape(self, "outline_px", self.outline_px, None, 2)
+
+
+@dataclass(frozen=True)
 class FrameResult:
     """All that one frame gave, with the arrays that pictures and stage files are made from (None
     when not reached).
@@ -168,5 +190,6 @@ class FrameResult:
     filtered: FilterResult | None = None
     surface: Surface | None = None
     ore_map: OreMap | None = None
+    foreign: tuple[ForeignBody, ...] = ()
     stages_ms: Mapping[str, float] = field(default_factory=dict)
     stamp_source: StampSource | None = None

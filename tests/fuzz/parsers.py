@@ -17,6 +17,7 @@ from stereo_ore.io.recordings import open_source
 from stereo_ore.io.recordings.container import read_container
 from stereo_ore.io.recordings.frame_packing import packing_of
 from stereo_ore.io.recordings.images import read_image
+from stereo_ore.io.recordings.stamps import stamp_table
 from stereo_ore.io.results import Results
 from stereo_ore.io.site import load_site
 from stereo_ore.plant.loop import position
@@ -78,6 +79,11 @@ def read_source(path: Path) -> object:
     return source.description
 
 
+def read_stamps(path: Path) -> object:
+    """Of frames, from the table beside their images."""
+    return stamp_table(path.parent)
+
+
 def read_packing(path: Path) -> object:
     """Of an access unit."""
     return packing_of(path.read_bytes())
@@ -119,6 +125,8 @@ PARSERS = {
     "text": Parser("cloud.csv", clouds.read),
     "las": Parser("cloud.las", clouds.read),
     "image": Parser("image.png", read_image),
+    "stamps": Parser("data.csv", read_stamps),
+    "db3": Parser("rec_0.db3", read_source),
     "rosbag1": Parser("recording.bag", read_source),
     "mcap": Parser("recording.mcap", read_source),
     "video": Parser("recording.avi", read_source),

@@ -23,7 +23,7 @@ SCHEMA = json.loads(
     (Path(__file__).parents[2] / "stereo_ore" / "schema" / "frame-2.json").read_text()
 )
 VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
-SLOW = {"mcap": 40, "rosbag1": 40, "video": 40, "svo2": 40, "foxglove": 40}
+SLOW = {"db3": 40, "mcap": 40, "rosbag1": 40, "video": 40, "svo2": 40, "foxglove": 40}
 """Examples for parsers whose libraries take their time."""
 
 VALID = {

@@ -10,10 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from stereo_ore.lab.synth import screen as grizzly
+from stereo_ore.lab.synth.foreign import TOOL, foreign_body
 from stereo_ore.lab.synth.mesh import Mesh, RayCaster, blocked, merge, ray_caster, rectangle
 from stereo_ore.lab.synth.placing import HeightField, pile
 from stereo_ore.lab.synth.rocks import PROPORTIONS, rock, roughness
 from stereo_ore.lab.synth.spec import SceneSpec
+from stereo_ore.transforms import inverse
 from stereo_ore.types import F32, F64, I32
 
 BACKGROUND, GRIZZLY, FIRST_LUMP = 0, 1, 2
@@ -76,6 +78,7 @@ def build(spec: SceneSpec) -> Model:
     parts += [_part(mesh, material, BACKGROUND) for mesh, material in surroundings(spec, rng)]
     for k, lump in enumerate(lumps):
         parts.append(Part(lump.mesh, lump.ore, FIRST_LUMP + k, lump.R, rng.uniform(0, 5, 3)))
+    parts += _foreign(spec)
     return assembled(parts, lumps, rng, reach=2.0 * max(spec.screen.size))
 
 
@@ -102,6 +105,15 @@ def assembled(
 
 def _part(mesh: Mesh, material: str, instance: int) -> Part:
     return Part(mesh, material, instance, np.eye(3), np.zeros(3))
+
+
+def _foreign(spec: SceneSpec) -> list[Part]:
+    """Foreign bodies; they have numbers of their own, so that the rest is as without them."""
+    eye = (inverse(spec.T_world_screen) @ spec.camera.T_world_left)[:3, 3]
+    rng = np.random.default_rng([spec.seed, 30])
+    return [
+        _part(foreign_body(kind, spec.screen, eye, rng), "steel", TOOL) for kind in spec.foreign
+    ]
 
 
 def _lumps(spec: SceneSpec, steel: Mesh, rng: np.random.Generator) -> list[Lump]:

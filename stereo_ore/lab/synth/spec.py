@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stereo_ore.errors import ConfigError
+from stereo_ore.lab.synth.foreign import Kind
 from stereo_ore.lab.synth.lighting import Light
 from stereo_ore.lab.synth.screen import Screen
 from stereo_ore.types import F64
@@ -78,7 +79,7 @@ class SceneSpec:
     `lump_size` are the least and greatest longest dimension [m], `tilt` the screen's two tilts
     [rad], `sky` its light. A `table` stands on a floor; otherwise there is a pit. `raw` eyes are
     distorted. `wet` 0…1 makes rock shine. `angular` lumps are bounded by fewer and less equal
-    faces: see `rocks.rock`.
+    faces: see `rocks.rock`. `foreign` bodies are over the screen: see `foreign.foreign_body`.
     """
 
     seed: int
@@ -98,6 +99,7 @@ class SceneSpec:
     haze_per_m: float = 0.0
     supersampling: int = 2
     angular: bool = False
+    foreign: tuple[Kind, ...] = ()
 
     def __post_init__(self) -> None:
         if self.size not in SIZES:

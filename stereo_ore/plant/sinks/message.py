@@ -11,9 +11,9 @@ import json
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from datetime import UTC, datetime
 from typing import Any
 
+from stereo_ore.times import utc
 from stereo_ore.types import F64
 
 SCHEMA = "stereo_ore/targets/1"
@@ -59,7 +59,7 @@ class Origin:
 @dataclass(frozen=True)
 class Message:
     """The targets of one frame, or that there are none; `deadline` is on this process's monotonic
-    clock [s].
+    clock [s], `age_s` how old the frame was when it was published.
     """
 
     sequence: int
@@ -73,6 +73,8 @@ class Message:
     reasons: tuple[str, ...]
     targets: tuple[Target, ...] = ()
     deadline: float = 0.0
+    stamp_source: str | None = None
+    age_s: float | None = None
 
     @property
     def valid(self) -> bool:
@@ -124,19 +126,6 @@ class Message:
     def line(self) -> str:
         """One line of JSON."""
         return json.dumps(self.json(), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
-
-
-def utc(nanoseconds: int | None) -> str | None:
-    """RFC 3339 text with nine digits of a second; None for None and for years that it can't
-    write.
-    """
-    if nanoseconds is None:
-        return None
-    seconds, rest = divmod(nanoseconds, 10**9)
-    try:
-        return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%dT%H:%M:%S}.{rest:09d}Z"
-    except (ValueError, OverflowError, OSError):
-        return None
 
 
 def new_session() -> str:
@@ -191,12 +180,14 @@ def message(
         frame=record["frame"],
         index=record["index"],
         stamp_ns=record["stamp_ns"],
+        stamp_source=record.get("stamp_source"),
         published_ns=now,
         valid_until_ns=now + max(0, int(1e9 * remaining_s)),
         status=record["status"],
         reasons=(*(reason["code"] for reason in record["reasons"]), *reasons),
         targets=targets,
         deadline=time.monotonic() + remaining_s,
+        age_s=round(age_s, 3),
     )
     return whole.current()
 

@@ -143,6 +143,8 @@ PAYLOAD = (
     unit="ns"),
     _result("Stamp", "DateTime", "StampNs to the microsecond; null time: unknown",
     lambda m: _time(m.stamp_ns)),
+    _result("StampSource", "String", "where the stamp is from: header, file name, arrival …",
+    lambda m: m.stamp_source or ""),
     _result("Published", "DateTime", "when it was published", lambda m: _time(m.published_ns)),
     _result("ValidUntil", "DateTime", "strike no later", lambda m: _time(m.valid_until_ns)),
     _result("Status", "String", "ok, degraded, empty, failed, expired …", lambda m: m.status),

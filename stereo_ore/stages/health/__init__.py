@@ -9,11 +9,13 @@ from stereo_ore.stages.health.eyes import doubts as eye_doubts
 from stereo_ore.stages.health.parts import judge_parts, row_doubts, without_doubtful
 from stereo_ore.stages.health.screen import bar_doubts
 from stereo_ore.stages.health.screen import doubts as screen_doubts
+from stereo_ore.stages.health.site import missing as missing_in_site
 
 __all__ = [
     "bar_doubts",
     "eye_doubts",
     "judge_parts",
+    "missing_in_site",
     "row_doubts",
     "screen_doubts",
     "without_doubtful",

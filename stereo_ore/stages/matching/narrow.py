@@ -64,7 +64,7 @@ def narrow(
 
 
 def _coarse_region(rig: Rig, region: Region, scale: int) -> Region:
-    lowest = math.floor(min(region.min_disparity, max(0.0, -rig.doffs_px)) / scale)
+    lowest = math.floor(min(region.min_disparity, -rig.shift_px) / scale)
     highest = math.ceil((region.min_disparity + region.num_disparities) / scale)
     x1, y1 = (
         min(-(-region.x1 // scale), rig.width // scale),

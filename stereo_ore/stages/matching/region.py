@@ -14,6 +14,9 @@ MARGIN_PX = 8
 """Kept around the projected volume, so that the windows and paths at its rim see what is there."""
 
 MARGIN_DISPARITY_PX = 2
+MUCH_NEARER = 16
+"""A volume that begins to be seen only this many times nearer is told to be too near; nearer ones
+are taken for behind or beside the camera."""
 STEP = 16
 """OpenCV searches multiples of this many disparities."""
 
@@ -40,10 +43,11 @@ def find_region(rig: Rig, volume: Volume | None, config: MatchingConfig) -> Regi
     """
     if volume is None or not config.use_region:
         x0, y0, x1, y1 = 0, 0, rig.width, rig.height
-        lowest = max(0, math.floor(-rig.doffs_px))
+        lowest = max(0, math.floor(-rig.shift_px))
         count = default_disparities(rig.width)
     else:
-        seen = visible_part(rig, volume)
+        count = max(default_disparities(rig.width), config.num_disparities or 0)
+        seen = visible_part(rig, volume, count)
         x0, y0, x1, y1 = _rectangle(rig, seen)
         lowest, count = _range(rig, seen)
     lowest = lowest if config.min_disparity is None else config.min_disparity
@@ -56,25 +60,44 @@ def default_disparities(width: int) -> int:
     return round_up(math.ceil(width / 5))
 
 
-def visible_part(rig: Rig, volume: Volume) -> F64:
-    """Corners (n, 3) [m] of the part of the volume that is in view, as near as the default
-    disparities reach.
+def nearest_m(rig: Rig, count: int) -> float:
+    """Depth of the largest of `count` disparities as they are measured, which begin at 0 or, where
+    those would lie behind the camera, at the first that does not.
+    """
+    return rig.fx * rig.baseline_m / (count + max(0.0, rig.shift_px))
+
+
+def visible_part(rig: Rig, volume: Volume, count: int) -> F64:
+    """Corners (n, 3) [m] of the part of the volume that is in view, as near as `count` disparities
+    reach.
 
     The faces of the box are clipped by the planes of the view (Sutherland and Hodgman 1974).
     """
-    near = rig.fx * rig.baseline_m / default_disparities(rig.width)
-    planes = _view_planes(rig)
-    corners = volume.corners
+    near = nearest_m(rig, count)
+    seen = _seen(rig, volume, near)
+    if len(seen):
+        return seen
+    if len(_seen(rig, volume, near / MUCH_NEARER)):
+        raise ConfigError(
+            f"the working volume is in view, but nearer than the {near:.3g} m that {count}"
+            " disparities reach",
+            key="working_volume",
+            remedy="Set matching.num_disparities, or check disparity_offset_px and baseline of the"
+            " calibration",
+        )
+    raise ConfigError(
+        "no part of the working volume is in the camera's view",
+        key="working_volume",
+        remedy="Check its limits and frame, and arm_from_camera",
+    )
+
+
+def _seen(rig: Rig, volume: Volume, near: float) -> F64:
+    """Corners (n, 3) [m] of what is in view beyond z = `near`; none where nothing is."""
+    planes, corners = _view_planes(rig), volume.corners
     parts = [_clip(corners[list(face)], planes, near) for face in _FACES]
     rim = rig.back_project([0, rig.width, 0, rig.width], [0, 0, rig.height, rig.height], near)
-    seen = np.concatenate([*parts, rim[volume.contains(rim)]])
-    if not len(seen):
-        raise ConfigError(
-            "no part of the working volume is in the camera's view",
-            key="working_volume",
-            remedy="Check its limits and frame, and arm_from_camera",
-        )
-    return seen
+    return np.concatenate([*parts, rim[volume.contains(rim)]])
 
 
 def _view_planes(rig: Rig) -> F64:

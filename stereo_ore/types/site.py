@@ -1,0 +1,82 @@
+"""The site: where the camera looks, the arm, and where nothing is ore."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stereo_ore.types.arrays import F64, Mask, check_shape
+from stereo_ore.types.geometry import Plane, Volume
+
+
+@dataclass(frozen=True)
+class Capsule:
+    """All within `radius_m` of the line from `start` to `end` (3,) [m], camera frame; with `flat`
+    ends a cylinder.
+    """
+
+    start: F64
+    end: F64
+    radius_m: float
+    flat: bool = False
+
+    def __post_init__(self) -> None:
+        check_shape(self, "start", self.start, 3)
+        check_shape(self, "end", self.end, 3)
+
+    def distance(self, xyz: npt.NDArray[Any]) -> F64:
+        """Distance [m] of (..., 3) points from the body, 0 inside and inf beyond flat ends."""
+        axis = self.end - self.start
+        along = (xyz - self.start) @ axis / (axis @ axis)
+        nearest = self.start + np.clip(along, 0, 1)[..., None] * axis
+        away = np.maximum(np.linalg.norm(xyz - nearest, axis=-1) - self.radius_m, 0)
+        return np.where((along < 0) | (along > 1), np.inf, away) if self.flat else away
+
+    def contains(self, xyz: npt.NDArray[Any]) -> Mask:
+        """True for each of (..., 3) camera-frame points inside; NaN is outside."""
+        return np.asarray(self.distance(xyz) <= 0)
+
+
+@dataclass(frozen=True)
+class Polygon:
+    """A part of the left rectified image: corners (K, 2) [px]."""
+
+    corners_px: F64
+
+    def __post_init__(self) -> None:
+        check_shape(self, "corners_px", self.corners_px, None, 2)
+
+
+@dataclass(frozen=True)
+class KeepOut:
+    """A named place where nothing is ore: a body (camera frame) or a part of the image."""
+
+    name: str
+    body: Volume | Capsule | Polygon
+
+
+@dataclass(frozen=True)
+class Site:
+    """Where the camera looks, and the arm; every part may be unknown (None). Plane and volume and
+    the bodies of `keep_out` are in the camera frame.
+
+    `reach_min_m` and `reach_max_m` (3,) bound the tool's tip in the arm frame.
+    """
+
+    T_arm_camera: F64 | None = None
+    volume: Volume | None = None
+    plane: Plane | None = None
+    opening_m: float | None = None
+    bar_width_m: float | None = None
+    background: Path | None = None
+    reach_min_m: F64 | None = None
+    reach_max_m: F64 | None = None
+    keep_out: tuple[KeepOut, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.T_arm_camera is not None:
+            check_shape(self, "T_arm_camera", self.T_arm_camera, 4, 4)
