@@ -225,7 +225,7 @@ class SegmentConfig(StageConfig):
         0.3, "pixels more likely the contact of two lumps than this part them", gt=0, lt=1
     )
     lump_probability: float = param(
-        0.5, "labels less likely one whole lump than this are dropped, and counted", ge=0, lt=1
+        0.4, "labels less likely one whole lump than this are dropped, and counted", ge=0, lt=1
     )
     small_pixels: int = param(
         600, "a lump of fewer visible pixels may be a clump of wrong matches", "px", ge=0

@@ -15,6 +15,7 @@ from stereo_ore.io import recordings
 from stereo_ore.lab import evaluate
 from stereo_ore.lab.bench.scene_files import load_rig
 from stereo_ore.lab.synth.eye import depth_and_instance
+from stereo_ore.lab.synth.foreign import TOOL
 from stereo_ore.lab.synth.materials import Material, make_materials
 from stereo_ore.lab.synth.model import FIRST_LUMP, Model
 from stereo_ore.lab.synth.rig import eyes, ideal_rig, rectification
@@ -61,7 +62,8 @@ def example_of(
         return None
     region, opening = seen.disparity.region, seen.grizzly.opening_m or 0.3
     x = channels.measure(seen.disparity, seen.surface, seen.grizzly, opening, region).x
-    lump = np.where(instance >= FIRST_LUMP, instance - FIRST_LUMP + 1, 0)[region.slices]
+    ore = (instance >= FIRST_LUMP) & (instance != TOOL)
+    lump = np.where(ore, instance - FIRST_LUMP + 1, 0)[region.slices]
     size = x.shape[2], x.shape[1]
     small = cv2.resize(lump.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
     return Example(x.astype(np.float16), np.asarray(small, np.uint8))
