@@ -219,7 +219,7 @@ class SegmentConfig(StageConfig):
     )
     ore_probability: float = param(0.5, "pixels more likely ore than this are", gt=0, lt=1)
     agreement: float = param(
-        0.45, "share of a lump's votes that must agree on its middle and size", gt=0, lt=1
+        0.35, "share of a lump's votes that must agree on its middle and size", gt=0, lt=1
     )
     line_probability: float = param(
         0.3, "pixels more likely the contact of two lumps than this part them", gt=0, lt=1
