@@ -96,6 +96,7 @@ class Chain:
         """
         trace = Trace()
         trace.remark(self.withheld, withhold=bool(self.withheld))
+        trace.check(health.other_scene, self.site, self.calibration)
         with trace.until_a_fault():
             self._follow(trace, pair, more)
         return trace.result(pair)

@@ -81,6 +81,12 @@ def run(
     clouds: Annotated[
         bool, typer.Option("--clouds/--no-clouds", help="Write clouds/FRAME.ply.")
     ] = True,
+    arm_clouds: Annotated[
+        bool,
+        typer.Option(
+            "--arm-clouds", help="Write arm_clouds/FRAME.ply too: the same in the arm's frame."
+        ),
+    ] = False,
     overlays: Annotated[
         bool, typer.Option("--overlays/--no-overlays", help="Write overlays/FRAME.png.")
     ] = True,
@@ -133,7 +139,7 @@ def run(
         require_matplotlib()
     options = RunOptions(
         start, stop, every, clouds, overlays, pictures, save_stages, report, resume, overwrite,
-        strict, workers, scheduler,
+        strict, workers, scheduler, arm_clouds,
     )  # fmt: skip
     more = [f"matching.fuse={fuse}"] if fuse else []
     more += [f"models.lumps={json.dumps(str(models))}"] if models else []
