@@ -476,3 +476,55 @@ def test_lzf(data: bytes) -> None:
     assert decompress(lzf(data), len(data)) == data
     with pytest.raises(ValueError, match=r"hold|end"):
         decompress(lzf(data), len(data) + 1)
+
+
+# --- what others made of our files: tests/clouds/README.md
+
+STORED = Path(__file__).parent / "clouds"
+
+
+def twelve_points() -> clouds.Records:
+    """With the columns of a run's cloud."""
+    i = np.arange(12)
+    score = (i / 16).astype(np.float32)
+    places = {
+        "x": (0.1 * i).astype(np.float32),
+        "y": (0.25 - 0.05 * i).astype(np.float32),
+        "z": (1 + 0.01 * i * i).astype(np.float32),
+    }
+    light = {"red": 20 * i, "green": 250 - 20 * i, "blue": 7 * i}
+    ore_id = (i // 4).astype(np.int32)
+    again = {"scalar_ore_id": ore_id.astype(np.float32), "scalar_score": score, "quality": score}
+    return clouds.from_columns(
+        places
+        | {name: values.astype(np.uint8) for name, values in light.items()}
+        | {"ore_id": ore_id, "score": score}
+        | again
+    )
+
+
+@pytest.mark.parametrize("file", ["ours.ply", "ours.pcd"])
+def test_what_others_read_is_what_is_written_today(file: str, tmp_path: Path) -> None:
+    clouds.write(tmp_path / file, twelve_points())
+    assert (tmp_path / file).read_bytes() == (STORED / file).read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("file", "columns"),
+    [
+        ("pcl_ascii.pcd", {"ore_id": "ore_id", "score": "score", "quality": "score"}),
+        ("pcl_compressed.pcd", {"ore_id": "ore_id", "score": "score", "quality": "score"}),
+        ("pcl.ply", {"ore_id": "ore_id", "score": "score", "quality": "score"}),
+        ("pcl_from_ply.pcd", {"ore_id": "ore_id", "score": "score", "quality": "score"}),
+        ("cloudcompare.asc", {"ore_id": "ore_id", "score": "score"}),
+        ("cloudcompare.ply", {"scalar_ore_id": "ore_id", "scalar_score": "score"}),
+        ("meshlab.ply", {"quality": "score"}),
+    ],
+)
+def test_what_others_made_of_it_comes_back(file: str, columns: dict[str, str]) -> None:
+    """Places, colours, and those columns that the program keeps, by its own names."""
+    expected, found = twelve_points(), clouds.read(STORED / file)
+    np.testing.assert_allclose(clouds.xyz(found), clouds.xyz(expected), rtol=3e-6, atol=1e-7)
+    assert colours(found) == colours(expected)
+    for name, ours in columns.items():
+        np.testing.assert_allclose(found[name], expected[ours])

@@ -12,9 +12,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from runs import smaller_scene
+from runs import quarter_scene, smaller_scene
 
 from stereo_ore.cli import launch
+from stereo_ore.io import clouds
 from stereo_ore.io.calibration import dump, load
 from stereo_ore.io.site import load_site
 
@@ -186,6 +187,26 @@ def test_the_cloud_is_readable_and_holds_the_kept_voxels(
     np.testing.assert_array_equal(
         cloud.point.ore_id.numpy().ravel(), stages["ore_id"][stages["keep"]]
     )
+
+
+def test_clouds_may_be_in_the_arm_s_frame_too(tmp_path: Path) -> None:
+    known, out = quarter_scene(tmp_path / "scene"), tmp_path / "out"
+    words = [tmp_path / "scene", *known, "--out", out, "--no-report", "--arm-clouds"]
+    assert stereo_ore("run", *words).returncode == 0
+    plain, arm = (clouds.read(out / name / "scene.ply") for name in ("clouds", "arm_clouds"))
+    T = load_site(tmp_path / "scene" / "site.yaml").T_arm_camera
+    assert T is not None
+    np.testing.assert_allclose(
+        clouds.xyz(arm), clouds.xyz(plain).astype(float) @ T[:3, :3].T + T[:3, 3], atol=1e-6
+    )
+    for name in set(plain.dtype.names) - set("xyz"):
+        np.testing.assert_array_equal(arm[name], plain[name])
+    assert b"comment stereo_ore: metres, arm frame" in (out / "arm_clouds/scene.ply").read_bytes()
+    assert stereo_ore("run", *words, "--overwrite", "--no-clouds").returncode == 0
+    assert [path.parent.name for path in out.rglob("*.ply")] == ["arm_clouds"]
+    nowhere = stereo_ore("run", *words[:3], "--out", tmp_path / "x", "--arm-clouds")
+    assert nowhere.returncode == 1
+    assert "arm_from_camera: is not known" in nowhere.stderr
 
 
 @pytest.mark.parametrize("how", ["workers", "again", "resumed"])

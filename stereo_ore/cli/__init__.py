@@ -19,6 +19,7 @@ from stereo_ore.version import __version__
 VERBS = (
     "run",
     "calibrate",
+    "site",
     "config",
     "synth",
     "serve",

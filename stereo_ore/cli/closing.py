@@ -15,11 +15,11 @@ log = logging.getLogger(__name__)
 
 Json = dict[str, Any]
 
-CAUSES = ("EYES_DISAGREE", "ROWS_DISAGREE")
+CAUSES = ("OTHER_SCENE", "EYES_DISAGREE", "ROWS_DISAGREE")
 """Reasons that explain all the others of a frame, the first before the second."""
 CONSEQUENCES = ("NO_SCREEN", "SCREEN_MOVED", "NO_POINTS", "FEW_DISPARITIES")
 """Reasons that other reasons explain."""
-OF_THE_SITE = ("NO_ARM_FRAME", "NO_VOLUME_GIVEN", "NO_PLANE_GIVEN")
+OF_THE_SITE = ("NO_ARM_FRAME", "NO_VOLUME_GIVEN", "NO_PLANE_GIVEN", "SITE_NOT_CONFIRMED")
 """Reasons that hold for each frame of a run, and explain none."""
 USABLE = ("ok", "empty")
 MOST_COMPLAINTS = 5

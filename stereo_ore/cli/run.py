@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import sys
 from collections.abc import Iterator
@@ -44,6 +45,9 @@ def run(
     settings: Annotated[
         list[str] | None, typer.Option("--set", help="One parameter: key.sub=value.")
     ] = None,
+    models: Annotated[
+        Path | None, typer.Option(help="Folder of the network of lumps, not the shipped one.")
+    ] = None,
     left: Annotated[
         Path | None, typer.Option(help="Left image, video or folder, instead of SOURCE.")
     ] = None,
@@ -77,6 +81,12 @@ def run(
     clouds: Annotated[
         bool, typer.Option("--clouds/--no-clouds", help="Write clouds/FRAME.ply.")
     ] = True,
+    arm_clouds: Annotated[
+        bool,
+        typer.Option(
+            "--arm-clouds", help="Write arm_clouds/FRAME.ply too: the same in the arm's frame."
+        ),
+    ] = False,
     overlays: Annotated[
         bool, typer.Option("--overlays/--no-overlays", help="Write overlays/FRAME.png.")
     ] = True,
@@ -129,11 +139,11 @@ def run(
         require_matplotlib()
     options = RunOptions(
         start, stop, every, clouds, overlays, pictures, save_stages, report, resume, overwrite,
-        strict, workers, scheduler,
+        strict, workers, scheduler, arm_clouds,
     )  # fmt: skip
-    parameters = load_config(
-        config, [*(settings or ()), *([f"matching.fuse={fuse}"] if fuse else [])]
-    )
+    more = [f"matching.fuse={fuse}"] if fuse else []
+    more += [f"models.lumps={json.dumps(str(models))}"] if models else []
+    parameters = load_config(config, [*(settings or ()), *more])
     recording = open_recording(source, left, right, (left_topic, right_topic), max_skew_ms)
     recording = limit_pixels(recording, parameters.source.max_pixels)
     calibration = calibration_of(recording, calib)

@@ -62,7 +62,7 @@ def _draw_foreign(image: U8, body: ForeignBody, scale: float) -> None:
     image[inside & ((u + v) % period < period / 4)] = MAGENTA
     cv2.polylines(image, [body.outline_px], True, MAGENTA, max(1, round(2 * scale)), cv2.LINE_AA)
     u0, v0 = body.outline_px.min(0)
-    _text(image, f"no ore: {body.name}", (int(u0), int(v0) - round(4 * scale)), scale)
+    write_text(image, f"no ore: {body.name}", (int(u0), int(v0) - round(4 * scale)), scale)
 
 
 def _draw_marks(image: U8, rig: Rig, ore: Ore, first: bool, scale: float) -> None:
@@ -89,7 +89,7 @@ def _draw_marks(image: U8, rig: Rig, ore: Ore, first: bool, scale: float) -> Non
         if ore.solid is None
         else f" {1000 * ore.solid.size_m[0]:.0f}x{1000 * ore.solid.size_m[1]:.0f} mm"
     )
-    _text(image, f"{ore.id}{size}", (u + round(8 * scale), v - round(8 * scale)), scale)
+    write_text(image, f"{ore.id}{size}", (u + round(8 * scale), v - round(8 * scale)), scale)
 
 
 def _draw_banner(image: U8, result: FrameResult, scale: float) -> None:
@@ -99,10 +99,10 @@ def _draw_banner(image: U8, result: FrameResult, scale: float) -> None:
         *(reason.code for reason in result.reasons),
     ]
     for row, line in enumerate(lines):
-        _text(image, line, (round(10 * scale), round((24 + 22 * row) * scale)), scale)
+        write_text(image, line, (round(10 * scale), round((24 + 22 * row) * scale)), scale)
 
 
-def _text(image: U8, text: str, at: tuple[int, int], scale: float) -> None:
+def write_text(image: U8, text: str, at: tuple[int, int], scale: float) -> None:
     """White with a dark rim; the rim is the same text shifted, for a bolder font would be wider."""
     rim = max(1, round(scale))
     around = [(dx * rim, dy * rim, BLACK) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]

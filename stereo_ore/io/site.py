@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -17,7 +17,7 @@ from stereo_ore.errors import ConfigError
 from stereo_ore.io import keep_out as places
 from stereo_ore.io.yaml_io import load_yaml
 from stereo_ore.transforms import inverse, nearest_rotation, rotate, rotation_fault
-from stereo_ore.types import F64, Plane, Site, Volume
+from stereo_ore.types import F64, Plane, Site, Survey, Volume
 
 log = logging.getLogger(__name__)
 
@@ -44,7 +44,7 @@ class _Box(Section):
 
 
 class _Volume(_Box):
-    frame: Frame
+    frame: Frame | Literal["screen"]
 
 
 class _Plane(Section):
@@ -74,17 +74,33 @@ class HandEyeRecord(Section):
     max_mm: Number
 
 
+class SurveyRecord(Section):
+    """With which camera a screen was surveyed by `stereo-ore site`, and whether a person has
+    looked at what was found.
+    """
+
+    confirmed: bool
+    calibration: str
+    camera: str = ""
+    image_size: tuple[int, int]
+    frames: int
+    bars_seen: int
+    rms_m: Number
+
+
 class _File(Section):
     format: Literal["stereo_ore/site"]
     version: Literal[1]
     arm_from_camera: tuple[Row, Row, Row, Row] | None = None
     tool_from_camera: tuple[Row, Row, Row, Row] | None = None
+    screen_from_camera: tuple[Row, Row, Row, Row] | None = None
     working_volume: _Volume | None = None
     grizzly: _Grizzly = _Grizzly()
     background: str | None = None
     reach: _Box | None = None
     keep_out: Annotated[tuple[places.Entry, ...], Field(max_length=64)] = ()
     hand_eye: HandEyeRecord | None = None
+    survey: SurveyRecord | None = None
 
 
 def load_site(path: str | Path) -> Site:
@@ -117,10 +133,7 @@ def load_site(path: str | Path) -> Site:
 def _faults(file: _File) -> list[str]:
     """What is wrong with single entries."""
     found = []
-    for name, rows in (
-        ("arm_from_camera", file.arm_from_camera),
-        ("tool_from_camera", file.tool_from_camera),
-    ):
+    for name, rows in _transforms(file):
         found += [] if rows is None else _transform_faults(name, np.array(rows))
     found += _length_faults(file)
     for name, box in (("working_volume", file.working_volume), ("reach", file.reach)):
@@ -136,8 +149,18 @@ def _faults(file: _File) -> list[str]:
     ):
         if part and part.frame == "arm" and file.arm_from_camera is None:
             found.append(f"{name}: is in the arm frame, but arm_from_camera is not given")
+    volume = file.working_volume
+    if volume and volume.frame == "screen" and file.screen_from_camera is None:
+        found.append(
+            "working_volume: is in the screen's frame, but screen_from_camera is not given"
+        )
     found += places.faults(file.keep_out, file.arm_from_camera is not None)
     return found
+
+
+def _transforms(file: _File) -> Iterator[tuple[str, tuple[Row, ...] | None]]:
+    for name in ("arm_from_camera", "tool_from_camera", "screen_from_camera"):
+        yield name, getattr(file, name)
 
 
 def _transform_faults(name: str, T: F64) -> list[str]:
@@ -157,10 +180,7 @@ def _length_faults(file: _File) -> list[str]:
         if box
         for end in ("min_m", "max_m")
     ]
-    for name, rows in (
-        ("arm_from_camera", file.arm_from_camera),
-        ("tool_from_camera", file.tool_from_camera),
-    ):
+    for name, rows in _transforms(file):
         lengths += [] if rows is None else [(name, [row[3] for row in rows[:3]], 0.0, FARTHEST_M)]
     lengths += [(*entry, 0.0, FARTHEST_M) for entry in places.lengths(file.keep_out)]
     grizzly = file.grizzly
@@ -195,17 +215,24 @@ def _length_fault(key: str, values: Sequence[float], least: float, greatest: flo
 def _site(file: _File, path: Path) -> Site:
     T_arm_camera = None if file.arm_from_camera is None else _rigid(np.array(file.arm_from_camera))
     grizzly, box, reach = file.grizzly, file.working_volume, file.reach
+    screen = file.screen_from_camera
+    T_screen_camera = None if screen is None else _rigid(np.array(screen))
     return Site(
         T_arm_camera=T_arm_camera,
         volume=None
         if box is None
-        else Volume(_to(box.frame, T_arm_camera), np.array(box.min_m), np.array(box.max_m)),
+        else Volume(
+            _to(box.frame, T_screen_camera if box.frame == "screen" else T_arm_camera),
+            np.array(box.min_m),
+            np.array(box.max_m),
+        ),
         plane=None if grizzly.plane is None else _camera_plane(grizzly.plane, T_arm_camera),
         opening_m=grizzly.opening_m,
         bar_width_m=grizzly.bar_width_m,
         background=None if file.background is None else path.parent / file.background,
         reach_min_m=None if reach is None else np.array(reach.min_m),
         reach_max_m=None if reach is None else np.array(reach.max_m),
+        survey=_survey(file.survey),
         keep_out=tuple(places.in_camera(entry, T_arm_camera) for entry in file.keep_out),
     )
 
@@ -217,9 +244,15 @@ def _rigid(T: F64) -> F64:
     return T
 
 
-def _to(frame: Frame, T_arm_camera: F64 | None) -> F64:
-    """``T_frame_camera``."""
-    return np.eye(4) if frame == "camera" or T_arm_camera is None else T_arm_camera
+def _survey(record: SurveyRecord | None) -> Survey | None:
+    if record is None:
+        return None
+    return Survey(record.calibration, record.camera, record.image_size, record.confirmed)
+
+
+def _to(frame: str, T_frame_camera: F64 | None) -> F64:
+    """``T_frame_camera``, of the camera itself none is given."""
+    return np.eye(4) if frame == "camera" or T_frame_camera is None else T_frame_camera
 
 
 def _camera_plane(plane: _Plane, T_arm_camera: F64 | None) -> Plane:
@@ -255,24 +288,26 @@ def _view_faults(site: Site | None) -> list[str]:
     return found
 
 
-def save_site(site: Site, path: str | Path, hand_eye: HandEyeRecord | None = None) -> None:
+def save_site(
+    site: Site,
+    path: str | Path,
+    hand_eye: HandEyeRecord | None = None,
+    survey: SurveyRecord | None = None,
+) -> None:
     """Write a site file that `load_site` reads back as the same site.
 
-    The plane is written in the camera frame, the volume in the frame of its box.
-
-    Raises
-    ------
-    ConfigError
-        When the volume is a box of neither the camera nor the arm frame.
+    The plane is written in the camera frame, the volume in the frame of its box: the camera's, the
+    arm's, or one of its own, which is then called the screen's.
     """
     path = Path(path)
     document: dict[str, Any] = {"format": FORMAT, "version": 1}
     if site.T_arm_camera is not None:
         document["arm_from_camera"] = site.T_arm_camera.tolist()
     if site.volume is not None:
-        document["working_volume"] = {"frame": _frame_of(site)} | _box(
-            site.volume.min_m, site.volume.max_m
-        )
+        frame = _frame_of(site, site.volume)
+        if frame == "screen":
+            document["screen_from_camera"] = site.volume.T_box_camera.tolist()
+        document["working_volume"] = {"frame": frame} | _box(site.volume.min_m, site.volume.max_m)
     document["grizzly"] = _grizzly(site)
     if site.background is not None:
         document["background"] = _relative(site.background, path.parent)
@@ -280,8 +315,9 @@ def save_site(site: Site, path: str | Path, hand_eye: HandEyeRecord | None = Non
         document["reach"] = _box(site.reach_min_m, site.reach_max_m)
     if site.keep_out:
         document["keep_out"] = [places.document(place) for place in site.keep_out]
-    if hand_eye is not None:
-        document["hand_eye"] = hand_eye.model_dump(mode="json")
+    for key, record in (("hand_eye", hand_eye), ("survey", survey)):
+        if record is not None:
+            document[key] = record.model_dump(mode="json")
     path.write_text(
         yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=120),
         encoding="utf-8",
@@ -350,12 +386,10 @@ def _relative(file: Path, folder: Path) -> str:
     return str(absolute.relative_to(base) if absolute.is_relative_to(base) else absolute)
 
 
-def _frame_of(site: Site) -> Frame:
-    T = site.volume.T_box_camera if site.volume is not None else np.eye(4)
+def _frame_of(site: Site, volume: Volume) -> str:
+    T = volume.T_box_camera
     if np.array_equal(T, np.eye(4)):
         return "camera"
     if site.T_arm_camera is not None and np.array_equal(T, site.T_arm_camera):
         return "arm"
-    raise ConfigError(
-        "the working volume is a box of neither the camera nor the arm frame", key="working_volume"
-    )
+    return "screen"

@@ -32,7 +32,7 @@ from stereo_ore.io.segments import FOLDER
 from stereo_ore.record import to_line
 
 LINES = ("frames.jsonl", "timings.jsonl", "inputs.jsonl")
-FRAME_FOLDERS = ("clouds", "overlays", "stages", "pictures")
+FRAME_FOLDERS = ("clouds", "arm_clouds", "overlays", "stages", "pictures")
 FRAME_SUFFIXES = (".ply", ".png", ".npz")
 WRITTEN = (*LINES, *(f"{name}.part" for name in LINES), *FRAME_FOLDERS, "run.json", FOLDER)
 """What a run makes in its folder and writes into or removes from."""

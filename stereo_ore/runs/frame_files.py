@@ -17,7 +17,8 @@ import numpy.typing as npt
 from stereo_ore.draw import overlay, scene_picture
 from stereo_ore.draw.images import encode_png
 from stereo_ore.io.atomic import write_bytes
-from stereo_ore.types import I32, U8, FrameResult, PointCloud, VoxelCloud
+from stereo_ore.transforms import apply
+from stereo_ore.types import F64, I32, U8, FrameResult, PointCloud, VoxelCloud
 
 NPZ_LEVEL = 1
 """Of zlib: as small as the usual 6 within a few per cent, in half the time."""
@@ -31,18 +32,24 @@ CLOUD_FIELDS = (
 OTHER_NAMES = {"scalar_ore_id": "ore_id", "scalar_score": "score", "quality": "score"}
 """Columns that CloudCompare and MeshLab take by these names only."""
 
+ARM_CLOUDS = "arm_clouds"
+"""Folder of the clouds in the arm's frame."""
+
 PLY_TYPES = {"<f4": "float", "u1": "uchar", "<i4": "int"}
 
 
 @dataclass(frozen=True)
 class FrameFiles:
-    """Writes the files of each frame below `folder`."""
+    """Writes the files of each frame below `folder`; clouds once more in the arm's frame where
+    `T_arm_camera` is given.
+    """
 
     folder: Path
     save_stages: bool = False
     pictures: bool = False
     clouds: bool = True
     overlays: bool = True
+    T_arm_camera: F64 | None = None
 
     def write(self, result: FrameResult) -> None:
         """Write what the frame has and what is wanted: nothing for a frame that could not be
@@ -52,11 +59,17 @@ class FrameFiles:
             self._write_image("overlays", result.name, overlay.draw(result))
         if self.pictures:
             self._write_image("pictures", result.name, scene_picture.draw(result))
-        if self.clouds and result.filtered is not None:
-            data = cloud_ply(cloud_table(result))
-            write_bytes(self.folder / "clouds" / f"{result.name}.ply", data)
+        if result.filtered is not None and (self.clouds or self.T_arm_camera is not None):
+            self._write_clouds(result.name, cloud_table(result))
         if self.save_stages and result.disparity is not None:
             write_bytes(self.folder / "stages" / f"{result.name}.npz", stages_npz(result))
+
+    def _write_clouds(self, name: str, table: npt.NDArray[np.void]) -> None:
+        if self.clouds:
+            write_bytes(self.folder / "clouds" / f"{name}.ply", cloud_ply(table))
+        if self.T_arm_camera is not None:
+            data = cloud_ply(moved(table, self.T_arm_camera), "arm frame")
+            write_bytes(self.folder / ARM_CLOUDS / f"{name}.ply", data)
 
     def _write_image(self, kind: str, name: str, image: U8 | None) -> None:
         if image is not None:
@@ -81,8 +94,18 @@ def cloud_table(result: FrameResult) -> npt.NDArray[np.void]:
     return table
 
 
-def cloud_ply(table: npt.NDArray[np.void]) -> bytes:
-    """Binary PLY of a `cloud_table`, with ore_id and score once more as `OTHER_NAMES`."""
+def moved(table: npt.NDArray[np.void], T: F64) -> npt.NDArray[np.void]:
+    """A copy of a `cloud_table` in another frame."""
+    places = np.stack([table[axis] for axis in "xyz"], -1).astype(np.float64)
+    copy = table.copy()
+    copy["x"], copy["y"], copy["z"] = apply(T, places).T
+    return copy
+
+
+def cloud_ply(table: npt.NDArray[np.void], frame: str = "rectified left camera") -> bytes:
+    """Binary PLY of a `cloud_table`, with ore_id and score once more as `OTHER_NAMES`; `frame` is
+    what its coordinates are in.
+    """
     fields = [*CLOUD_FIELDS, *((name, "<f4") for name in OTHER_NAMES)]
     whole = np.empty(len(table), fields)
     for name, _ in fields:
@@ -91,7 +114,7 @@ def cloud_ply(table: npt.NDArray[np.void]) -> bytes:
     header = [
         "ply",
         "format binary_little_endian 1.0",
-        "comment stereo_ore: metres, rectified left camera",
+        f"comment stereo_ore: metres, {frame}",
     ]
     header += [f"element vertex {len(table)}", *properties, "end_header", ""]
     return "\n".join(header).encode() + whole.tobytes()

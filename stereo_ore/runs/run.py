@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from stereo_ore.chain import Chain
-from stereo_ore.errors import MissingExtraError, SourceError
+from stereo_ore.errors import ConfigError, MissingExtraError, SourceError
 from stereo_ore.io.recordings import Source
 from stereo_ore.runs import batch, cluster
 from stereo_ore.runs.driver import Driver
@@ -47,6 +47,7 @@ class RunOptions:
     strict: bool = False
     workers: int = 1
     scheduler: str | None = None
+    arm_clouds: bool = False
 
 
 def select(recording: Source, chain: Chain, options: RunOptions) -> range:
@@ -82,7 +83,7 @@ def run(
         As the command line tells them: an unknown layout, a folder of another run, a full disk …
     """
     indices = select(recording, chain, options)
-    files = FrameFiles(out, options.save_stages, options.pictures, options.clouds, options.overlays)
+    files = _frame_files(out, chain, options)
     job = batch.Job(recording, Driver(chain, files), options.strict)
     about = _description(recording, indices, chain, inputs)
     with RunFolder(out, about, resume=options.resume, overwrite=options.overwrite) as folder:
@@ -90,6 +91,19 @@ def run(
         _do_frames(job, indices, folder, options, progress)
         folder.finish()
     return _report(out, recording, indices, chain) if options.report else None
+
+
+def _frame_files(out: Path, chain: Chain, options: RunOptions) -> FrameFiles:
+    arm = chain.site.T_arm_camera if options.arm_clouds else None
+    if options.arm_clouds and arm is None:
+        raise ConfigError(
+            "is not known, so there are no clouds in the arm's frame",
+            key="arm_from_camera",
+            remedy="Give --site with it, or leave --arm-clouds out",
+        )
+    return FrameFiles(
+        out, options.save_stages, options.pictures, options.clouds, options.overlays, arm
+    )
 
 
 def _do_frames(

@@ -39,7 +39,7 @@ from stereo_ore.types.results import (
     Strike,
     StrikePlan,
 )
-from stereo_ore.types.site import Capsule, KeepOut, Polygon, Site
+from stereo_ore.types.site import Capsule, KeepOut, Polygon, Site, Survey
 from stereo_ore.types.stages import (
     Background,
     Bars,
@@ -102,6 +102,7 @@ __all__ = [
     "Strike",
     "StrikePlan",
     "Surface",
+    "Survey",
     "Volume",
     "VoxelCloud",
     "centred_cloud",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -43,6 +44,19 @@ class StereoCalibration:
     images: Literal["rectified", "raw"] = "rectified"
     disparity_offset_px: float = 0.0
     camera: str = ""
+
+    @property
+    def fingerprint(self) -> str:
+        """Twelve hexadecimal digits that change with any number of the calibration, in any format
+        that it is written in; not with the name of the camera.
+        """
+        eyes = [
+            (eye.focal_px, eye.principal_point_px, eye.distortion, eye.projection)
+            for eye in (self.left, self.right)
+        ]
+        turn = np.round(np.concatenate([self.R_right_left.ravel(), self.t_right_left]), 9) + 0.0
+        numbers = (self.image_size, eyes, turn.tolist(), self.images, self.disparity_offset_px)
+        return hashlib.sha256(repr(numbers).encode()).hexdigest()[:12]
 
     def __post_init__(self) -> None:
         check_shape(self, "R_right_left", self.R_right_left, 3, 3)

@@ -60,6 +60,18 @@ class KeepOut:
 
 
 @dataclass(frozen=True)
+class Survey:
+    """With which camera a site was surveyed, by the fingerprint of its calibration, and whether a
+    person has confirmed what was found.
+    """
+
+    calibration: str
+    camera: str
+    image_size: tuple[int, int]
+    confirmed: bool
+
+
+@dataclass(frozen=True)
 class Site:
     """Where the camera looks, and the arm; every part may be unknown (None). Plane and volume and
     the bodies of `keep_out` are in the camera frame.
@@ -76,6 +88,7 @@ class Site:
     reach_min_m: F64 | None = None
     reach_max_m: F64 | None = None
     keep_out: tuple[KeepOut, ...] = ()
+    survey: Survey | None = None
 
     def __post_init__(self) -> None:
         if self.T_arm_camera is not None:

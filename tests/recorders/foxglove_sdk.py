@@ -6,7 +6,7 @@ import sys
 import foxglove
 import numpy as np
 from foxglove.channels import RawImageChannel
-from foxglove.schemas import RawImage, Timestamp
+from foxglove.messages import RawImage, Timestamp
 
 FIRST_NS, PERIOD_NS = 1_700_000_000_000_000_000, 100_000_000
 

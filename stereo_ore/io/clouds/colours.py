@@ -32,8 +32,11 @@ def unpack(records: Records) -> Records:
 
 
 def pack(records: Records) -> Records:
-    """The records with red, green, blue (and alpha) as one field ``rgb`` (``rgba``), where they are
-    bytes.
+    """The records with red, green, blue as one field ``rgb``, or with alpha as ``rgba``, where they
+    are bytes.
+
+    The former are the bits of a float, the latter a whole number, as PCL has them: its
+    ``pcl_pcd2ply`` writes four bytes for the three that it announces where ``rgb`` is whole.
     """
     columns = columns_of(records)
     names = (*RGB, "alpha") if "alpha" in columns else RGB
@@ -42,7 +45,8 @@ def pack(records: Records) -> Records:
     packed = np.zeros(len(records), np.uint32)
     for name, shift in zip(names, SHIFTS, strict=False):
         packed |= columns[name].astype(np.uint32) << np.uint32(shift)
-    replaced = _in_place(columns, names[0], {"rgba" if len(names) == 4 else "rgb": packed})
+    whole = {"rgba": packed} if len(names) == 4 else {"rgb": packed.view(np.float32)}
+    replaced = _in_place(columns, names[0], whole)
     return from_columns(
         {name: column for name, column in replaced.items() if name not in names[1:]}
     )

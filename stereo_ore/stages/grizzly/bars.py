@@ -77,7 +77,7 @@ def fit_bars(
         The plane has been refined: what lies a little beneath it is a bar's side face, or smeared
         off its edge.
     """
-    q, signal, axes = _rays_in_plane(sample, plane, SHARP if sharp else ROUGH)
+    q, signal, axes = rays_in_plane(sample, plane, SHARP if sharp else ROUGH)
     q, signal = _around_open(q, signal)
     if len(q) < PHASES or signal.min() > 0 or signal.max() < 0:
         return BarFit(None, 0.0)
@@ -107,7 +107,7 @@ def _seen(position: F64, signal: F64, pitch: float, phase: float, on_bar: Mask) 
     return int(((means[0] > 0.3) & (means[1] < -0.3)).sum())
 
 
-def _rays_in_plane(
+def rays_in_plane(
     sample: Sample, plane: Plane, limits: tuple[float, float]
 ) -> tuple[F64, F64, F64]:
     """Where each ray meets the plane (N, 2) [m], solid +1 or open −1 (N,), and the plane's axes (2,

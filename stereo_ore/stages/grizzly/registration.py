@@ -62,11 +62,11 @@ def register(
     if len(near.excess) < FEWEST:
         return None
     field, _ = _tukey(near, np.array([_mode(near.excess), 0.0, 0.0]))
-    fit = _bars(pixels, rig, _plane(rig, plane, field), site, config)
+    fit = _bars(pixels, rig, plane_of(rig, plane, field), site, config)
     if fit.bars is None or fit.contrast < LEAST_CONTRAST:
         return None
     inner = replace(fit, bars=replace(fit.bars, width_m=INNER * fit.bars.width_m))
-    on_bars = near.where(inner.covers(near.on(_plane(rig, plane, field))))
+    on_bars = near.where(inner.covers(near.on(plane_of(rig, plane, field))))
     if len(on_bars.excess) < FEWEST:
         return None
     field, weight = _tukey(on_bars, field)
@@ -152,7 +152,7 @@ def _tukey(pixels: _Pixels, field: F64) -> tuple[F64, F64]:
     return field, weight
 
 
-def _plane(rig: Rig, plane: Plane, field: F64) -> Plane:
+def plane_of(rig: Rig, plane: Plane, field: F64) -> Plane:
     """The plane whose disparity is that of `plane` and the field."""
     scaled = plane.normal / plane.offset + field[[1, 2, 0]] / (rig.fx * rig.baseline_m)
     offset = float(np.sign(plane.offset) / np.linalg.norm(scaled))
@@ -166,7 +166,7 @@ def _bars(pixels: _Pixels, rig: Rig, plane: Plane, site: Site, config: GrizzlyCo
 
 
 def _described(seen: _Pixels, rig: Rig, plane: Plane, field: F64) -> Registration:
-    measured = _plane(rig, plane, field)
+    measured = plane_of(rig, plane, field)
     height = plane.height(seen.on(measured))
     tilt = float(np.arccos(np.clip(measured.normal @ plane.normal, -1, 1)))
     worst = float(np.percentile(np.abs(height), 99))

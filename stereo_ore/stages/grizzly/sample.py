@@ -30,13 +30,14 @@ class Sample:
         return len(self.xyz)
 
 
-def draw_sample(surface: Surface, config: GrizzlyConfig) -> Sample:
-    """Every n-th pixel in both directions, with the distance within which it may lie on a plane.
+def draw_sample(surface: Surface, config: GrizzlyConfig, count: int = SAMPLE) -> Sample:
+    """Every n-th pixel in both directions, about `count`, with the distance within which it may lie
+    on a plane.
 
     The area grows with z², so that near and far parts of an oblique screen weigh the same.
     """
     valid = np.count_nonzero(np.isfinite(surface.xyz[..., 2]))
-    step = max(1, int(np.sqrt(valid / SAMPLE)))
+    step = max(1, int(np.sqrt(valid / count)))
     xyz = surface.xyz[::step, ::step].reshape(-1, 3).astype(np.float64)
     sigma = surface.sigma_z[::step, ::step].reshape(-1).astype(np.float64)
     keep = np.isfinite(xyz[:, 2]) & np.isfinite(sigma)

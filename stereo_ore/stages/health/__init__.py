@@ -10,12 +10,14 @@ from stereo_ore.stages.health.parts import judge_parts, row_doubts, without_doub
 from stereo_ore.stages.health.screen import bar_doubts
 from stereo_ore.stages.health.screen import doubts as screen_doubts
 from stereo_ore.stages.health.site import missing as missing_in_site
+from stereo_ore.stages.health.site import other_scene
 
 __all__ = [
     "bar_doubts",
     "eye_doubts",
     "judge_parts",
     "missing_in_site",
+    "other_scene",
     "row_doubts",
     "screen_doubts",
     "without_doubtful",
