@@ -84,6 +84,7 @@ class Chain:
         self.rig = self.rectifier.rig
         self.region = matching.find_region(self.rig, self.site.volume, self.config.matching)
         filters.parameters(self.config.filter)
+        self.lumps = segment.load(self.config.models.lumps)
         self.empty = empty_screen.load(self.rig, self.region, self.site, self.config)
         self.withheld = tuple(health.missing_in_site(self.site))
 
@@ -191,7 +192,8 @@ class Chain:
     def _segment(self, disparity: Disparity, surface: Surface, screen: Grizzly) -> OreMap:
         if self.empty is not None:
             surface = empty_screen.new_on(self.empty, disparity, surface)
-        return segment.segment(surface, screen, self.site.volume, self.config.segment)
+        volume, config = self.site.volume, self.config.segment
+        return segment.segment(disparity, surface, screen, volume, config, self.lumps)
 
 
 def _no_points(nearest_m: float | None, max_depth_m: float) -> FrameError:

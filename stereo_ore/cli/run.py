@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import sys
 from collections.abc import Iterator
@@ -43,6 +44,9 @@ def run(
     ] = None,
     settings: Annotated[
         list[str] | None, typer.Option("--set", help="One parameter: key.sub=value.")
+    ] = None,
+    models: Annotated[
+        Path | None, typer.Option(help="Folder of the network of lumps, not the shipped one.")
     ] = None,
     left: Annotated[
         Path | None, typer.Option(help="Left image, video or folder, instead of SOURCE.")
@@ -137,9 +141,9 @@ def run(
         start, stop, every, clouds, overlays, pictures, save_stages, report, resume, overwrite,
         strict, workers, scheduler, arm_clouds,
     )  # fmt: skip
-    parameters = load_config(
-        config, [*(settings or ()), *([f"matching.fuse={fuse}"] if fuse else [])]
-    )
+    more = [f"matching.fuse={fuse}"] if fuse else []
+    more += [f"models.lumps={json.dumps(str(models))}"] if models else []
+    parameters = load_config(config, [*(settings or ()), *more])
     recording = open_recording(source, left, right, (left_topic, right_topic), max_skew_ms)
     recording = limit_pixels(recording, parameters.source.max_pixels)
     calibration = calibration_of(recording, calib)

@@ -8,7 +8,6 @@ import logging
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
@@ -49,8 +48,7 @@ def tune(
         str | None,
         typer.Option(
             help=(
-                "geometry or stereo: train adaptive's scorer instead; segment: the models of"
-                " lumps; "
+                "geometry or stereo: train adaptive's scorer instead; ore: the network of lumps; "
                 "solids: the prior; confidence: that of disparities, on the pairs of --scene."
             )
         ),
@@ -64,6 +62,9 @@ def tune(
     sets: Annotated[
         Path | None, typer.Option(help="stereo: folder of real pairs with true disparities.")
     ] = None,
+    minutes: Annotated[
+        float, typer.Option(min=0.01, help="ore: how long the network is trained.")
+    ] = 60.0,
 ) -> None:
     """Find the parameters with the least cost, the weighted mean of 1 − P_r, 1 − Recall and 1 −
     Retain.
@@ -74,7 +75,7 @@ def tune(
     tuned/config.yaml`
     """
     if train:
-        _train(out, train, Material(seeds, tuple(scene or ()), tuple(scan or ()), sets))
+        _train(out, train, Material(seeds, tuple(scene or ()), tuple(scan or ()), sets, minutes))
     else:
         _search(out, method, cloud or [], seeds, cost)
 
@@ -112,13 +113,14 @@ def _search(out: Path, method: str, files: list[Path], seeds: int, cost: Path | 
 @dataclass(frozen=True)
 class Material:
     """What there is to learn from: seeds of made things, scene folders, clean scans, a folder of
-    real pairs.
+    real pairs; and for how long.
     """
 
     seeds: int
     scenes: tuple[Path, ...] = ()
     scans: tuple[Path, ...] = ()
     sets: Path | None = None
+    minutes: float = 60.0
 
 
 def _train(out: Path, kind: str, material: Material) -> None:
@@ -128,16 +130,21 @@ def _train(out: Path, kind: str, material: Material) -> None:
     trainers = {
         "geometry": _train_geometry,
         "stereo": _train_stereo,
-        "segment": _train_segment,
         "solids": _train_solids,
         "confidence": _train_confidence,
     }
-    if kind not in trainers:
+    if kind not in (*trainers, "ore"):
         raise ConfigError(
-            f"{kind!r} can't be trained", key="--train", remedy=f"Use one of {', '.join(trainers)}"
+            f"{kind!r} can't be trained",
+            key="--train",
+            remedy=f"Use one of {', '.join((*trainers, 'ore'))}",
         )
     make_folder(out)
-    text = trainers[kind](range(TUNING_SEED, TUNING_SEED + material.seeds), material)
+    seeds = range(TUNING_SEED, TUNING_SEED + material.seeds)
+    if kind == "ore":
+        typer.echo(_train_ore(seeds, material, out))
+        return
+    text = trainers[kind](seeds, material)
     path = out / f"{kind}.json"
     path.write_text(text, encoding="utf-8")
     typer.echo(path)
@@ -169,21 +176,11 @@ def _train_stereo(seeds: range, material: Material) -> str:
     return provenance.of_stereo(scorer, lessons).to_json()
 
 
-def _train_segment(seeds: range, material: Material) -> str:
-    """JSON of the segmentation's models; their quality on scenes they did not see is logged."""
-    from stereo_ore.config import SegmentConfig
-    from stereo_ore.lab.training import lumps
+def _train_ore(seeds: range, material: Material, out: Path) -> Path:
+    """Folder of the network of lumps; its quality on screens left out is logged and in its card."""
+    from stereo_ore.lab.training.ore import course
 
-    sources = [
-        *(partial(lumps.scene_views, s) for s in material.scenes),
-        *(partial(lumps.made_views, n) for n in seeds),
-    ]
-    views = [
-        view for source in _watched(iter(sources), len(sources), "scenes") for view in source()
-    ]
-    weights, quality = lumps.train(views, SegmentConfig())
-    log.info("on unseen scenes: %s", quality)
-    return weights.to_json()
+    return course.train(course.Course(out, seeds, material.scenes, material.minutes))
 
 
 def _train_solids(seeds: range, material: Material) -> str:

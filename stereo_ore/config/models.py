@@ -183,6 +183,12 @@ class GrizzlyConfig(StageConfig):
     refinements: int = param(2, "times the plane found is fitted again to its bars", ge=0)
 
 
+class ModelsConfig(StageConfig):
+    """What is learned, where it is not what ships with the package."""
+
+    lumps: str = param("shipped", "folder of the network of lumps: model.onnx and card.json")
+
+
 class ForeignConfig(StageConfig):
     """What is in view and is no ore: the arm itself, chains, posts, people."""
 
@@ -211,45 +217,29 @@ class SegmentConfig(StageConfig):
     min_pixels: int = param(
         240, "and of fewer visible pixels: no more than a clump of wrong matches", "px", ge=1
     )
-    sigmas: float = param(
-        3.0, "relief over the bars that is ore, in standard deviations of a disparity", gt=0
+    ore_probability: float = param(0.5, "pixels more likely ore than this are", gt=0, lt=1)
+    agreement: float = param(
+        0.35, "share of a lump's votes that must agree on its middle and size", gt=0, lt=1
     )
-    min_height: float = param(0.05, "relief over the bars that is ore, in openings", ge=0)
-    ore_probability: float = param(0.45, "pixels more likely ore than this are", gt=0, lt=1)
-    guide_radius_px: int = param(4, "radius in which the image draws the outline", "px", ge=1)
-    least_part: float = param(0.15, "smaller connected parts are noise, in openings", ge=0)
-    smooth_px: float = param(1.5, "standard deviation of the smoothing of the relief", "px", gt=0)
-    valley_sigmas: float = param(
-        2.0, "depth of a valley that may part lumps, in standard deviations", gt=0
-    )
-    valley_share: float = param(0.03, "and in shares of the relief", ge=0)
-    least_crease: float = param(0.15, "shorter valleys are noise, in openings", ge=0)
-    neck: float = param(
-        0.85, "a core whose neck is thinner than this share of it is a part of its own", gt=0, lt=1
-    )
-    least_core: float = param(0.05, "thinner cores are none, in openings", gt=0)
-    relief_weight: float = param(
-        6.7, "grey levels that a standard deviation of relief is worth in the outline", gt=0
-    )
-    band: float = param(
-        0.2,
-        "band on either side of an outline within which the image may move it, in openings",
-        gt=0,
-    )
-    opening_px: float = param(
-        48.0, "size of the opening in the image at which lumps are told apart", "px", ge=8
-    )
-    merge_probability: float = param(
-        0.4, "neighbours more likely one lump than this are joined", gt=0, lt=1
+    line_probability: float = param(
+        0.3, "pixels more likely the contact of two lumps than this part them", gt=0, lt=1
     )
     lump_probability: float = param(
-        0.55, "parts less likely a lump than this are dropped, and counted", ge=0, lt=1
+        0.4, "labels less likely one whole lump than this are dropped, and counted", ge=0, lt=1
     )
     small_pixels: int = param(
         600, "a lump of fewer visible pixels may be a clump of wrong matches", "px", ge=0
     )
     doubtful_probability: float = param(
-        0.75, "small ones, and cut ones, are dropped if less likely", ge=0, lt=1
+        0.5, "small ones, and cut ones, are dropped if less likely", ge=0, lt=1
+    )
+    least_measured: float = param(
+        0.3, "share of a lump's pixels that the filter kept in the working volume", ge=0, lt=1
+    )
+    band: float = param(
+        0.06,
+        "band on either side of an outline within which the image may move it, in openings",
+        gt=0,
     )
     default_opening_m: float = param(
         0.3, "scale of the lumps when no opening is known", "m", gt=0, le=3
@@ -392,6 +382,7 @@ class Config(StageConfig):
     voxel: VoxelConfig = VoxelConfig()
     filter: FilterConfig = FilterConfig()
     grizzly: GrizzlyConfig = GrizzlyConfig()
+    models: ModelsConfig = ModelsConfig()
     foreign: ForeignConfig = ForeignConfig()
     segment: SegmentConfig = SegmentConfig()
     solid: SolidConfig = SolidConfig()

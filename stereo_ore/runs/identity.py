@@ -50,6 +50,7 @@ def description(source: str, chain: Chain, files: InputFiles, **more: Any) -> di
         "source": source,
         "parameters": chain.config.model_dump(mode="json"),
         "files": hashes,
+        "models": {"lumps": {"sha256": chain.lumps.card.sha256}},
         **more,
     }
 

@@ -4,6 +4,7 @@ frame.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,16 +75,23 @@ def build(spec: SceneSpec) -> Model:
     if spec.table:
         steel.append(grizzly.legs(spec.screen))
     parts = [_part(merge(steel), "steel", GRIZZLY)]
-    parts += [_part(mesh, material, BACKGROUND) for mesh, material in _surroundings(spec, rng)]
+    parts += [_part(mesh, material, BACKGROUND) for mesh, material in surroundings(spec, rng)]
     for k, lump in enumerate(lumps):
         parts.append(Part(lump.mesh, lump.ore, FIRST_LUMP + k, lump.R, rng.uniform(0, 5, 3)))
     parts += _foreign(spec)
+    return assembled(parts, lumps, rng, reach=2.0 * max(spec.screen.size))
+
+
+def assembled(
+    parts: Sequence[Part], lumps: Sequence[Lump], rng: np.random.Generator, reach: float
+) -> Model:
+    """The model of parts, lumps among them; the sky is looked for within `reach` [m]."""
     whole = merge([p.mesh for p in parts])
     part_of = np.repeat(
         np.arange(len(parts), dtype=np.int32), [len(p.mesh.triangles) for p in parts]
     )
     caster = ray_caster(whole)
-    sky = _sky_share(whole, caster, rng, reach=2.0 * max(spec.screen.size))
+    sky = _sky_share(whole, caster, rng, reach)
     return Model(
         tuple(parts),
         tuple(lumps),
@@ -127,12 +135,18 @@ def _lumps(spec: SceneSpec, steel: Mesh, rng: np.random.Generator) -> list[Lump]
     return [Lump(meshes[k].moved(R, t), shapes[k], ores[k], R, t) for k, R, t in poses]
 
 
-def _surroundings(spec: SceneSpec, rng: np.random.Generator) -> list[tuple[Mesh, str]]:
-    """Floor, walls of the hall, pit and rubble."""
+def surroundings(
+    spec: SceneSpec, rng: np.random.Generator, stones: int | None = None
+) -> list[tuple[Mesh, str]]:
+    """Floor, walls of the hall, pit and rubble of so many stones."""
     screen, reach = spec.screen, 3.2 * max(spec.screen.size)
     stone = (0.035 if spec.table else 0.16) * rng.uniform(0.8, 1.2)
     rubble = grizzly.rubble(
-        screen, rng, stone, 500 if spec.table else 700, heap=0.12 if spec.table else 0.35
+        screen,
+        rng,
+        stone,
+        stones or (500 if spec.table else 700),
+        heap=0.12 if spec.table else 0.35,
     )
     corners = np.array([(-1.0, -1), (-1, 1), (1, 1), (1, -1)]) * reach
     low, up = -screen.pit_depth - 0.1, np.array([0, 0, reach])

@@ -8,7 +8,7 @@ import numpy as np
 
 from stereo_ore.lab.synth.eye import Eye, depth_and_instance
 from stereo_ore.lab.synth.families import sample_spec
-from stereo_ore.lab.synth.materials import make_materials
+from stereo_ore.lab.synth.materials import Material, make_materials
 from stereo_ore.lab.synth.model import Model, build
 from stereo_ore.lab.synth.render import radiance
 from stereo_ore.lab.synth.rig import Rectification, eyes, ideal_rig, raw_rig, rectification
@@ -67,17 +67,25 @@ def scene(spec: SceneSpec | int, family: str = "large", size: str = "HD720") -> 
     depth, instance = depth_and_instance(model, straight)
     raw_depth, raw_instance = depth_and_instance(model, left) if spec.raw else (depth, instance)
     return Scene(
-        spec, _pair(spec, model, left, right), calibration, _site(spec, rectified), rectified,
+        spec, pair_of(spec, model, left, right), calibration, site_of(spec, rectified), rectified,
         depth, instance,
         raw_depth, raw_instance, lump_truths(spec, model, left, straight, raw_depth, raw_instance,
         instance),
     )  # fmt: skip
 
 
-def _pair(spec: SceneSpec, model: Model, left: Eye, right: Eye) -> StereoPair:
+def pair_of(
+    spec: SceneSpec,
+    model: Model,
+    left: Eye,
+    right: Eye,
+    materials: dict[str, Material] | None = None,
+) -> StereoPair:
+    """What both eyes record of a model, of these materials or of some drawn for it."""
     rng = np.random.default_rng([spec.seed, 20])
     pixel_m = spec.camera.distance / left.camera.focal_px[0]
-    materials = make_materials(rng, model, pixel_m, spec.wet)
+    if materials is None:
+        materials = make_materials(rng, model, pixel_m, spec.wet)
     views = [radiance(model, materials, spec, eye) for eye in (left, right)]
     gain = exposure_gain(spec.sensor, views[0])
     images = [
@@ -87,7 +95,7 @@ def _pair(spec: SceneSpec, model: Model, left: Eye, right: Eye) -> StereoPair:
     return StereoPair(images[0], images[1], name=spec.name, index=0)
 
 
-def _site(spec: SceneSpec, rectified: Rectification) -> Site:
+def site_of(spec: SceneSpec, rectified: Rectification) -> Site:
     """The site in the rectified left camera's frame; the arm's frame is the world."""
     T_arm_camera = spec.camera.T_world_left @ rectified.T_left_rectified
     T_ws, half = spec.T_world_screen, np.array(spec.screen.size) / 2

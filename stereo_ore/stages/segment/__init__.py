@@ -1,193 +1,161 @@
-"""Lumps in the image: what stands out of the screen, split into single lumps."""
+"""Lumps in the image: a network names them, and edges of the image draw their outlines."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
-
-import cv2
 import numpy as np
-from scipy import ndimage
 
 from stereo_ore.config import SegmentConfig
-from stereo_ore.stages.segment.cores import cores
-from stereo_ore.stages.segment.features import Scene, gradient
-from stereo_ore.stages.segment.merge import lump_probability, merge_parts
-from stereo_ore.stages.segment.outline import filled, grow, renumbered
-from stereo_ore.stages.segment.split import long_parts, smooth_relief, valley_depth
-from stereo_ore.stages.segment.view import View, look, shrunk
-from stereo_ore.stages.segment.weights import Weights, load
-from stereo_ore.threads import pool
-from stereo_ore.types import I16, I32, Grizzly, OreMap, Surface, Volume
+from stereo_ore.stages.segment import channels, outputs, votes, whole
+from stereo_ore.stages.segment.frame import inside_screen
+from stereo_ore.stages.segment.lay import laid
+from stereo_ore.stages.segment.model import LumpModel, load
+from stereo_ore.stages.segment.outline import RIM, filled, renumbered, sharpened
+from stereo_ore.types import (
+    F64,
+    I16,
+    I32,
+    U8,
+    Disparity,
+    Grizzly,
+    Mask,
+    OreMap,
+    Region,
+    Surface,
+    Volume,
+)
 
-__all__ = ["Scene", "coarse_heaps", "look", "oversegment", "segment"]
+__all__ = ["LumpModel", "load", "segment"]
 
-REACHES = (16, 8, 4)
-"""Half lengths of the chords that look for valleys, as fractions 1/n of the opening."""
-REACH_WEIGHTS = (1.0, 1.0, 1.3)
-
-Box = tuple[slice, slice]
+MARGIN = 0.5
+"""What the network sees around the kept points [openings]."""
+FEWEST = 8.0
+"""Pixels of the network's images below which nothing is a lump."""
 
 
 def segment(
+    disparity: Disparity,
     surface: Surface,
-    grizzly: Grizzly,
+    screen: Grizzly,
     volume: Volume | None,
     config: SegmentConfig,
-    weights: Weights | None = None,
+    model: LumpModel,
 ) -> OreMap:
     """Label every lump in the image.
 
     Parameters
     ----------
+    disparity : Disparity
+        All of it, noise too: see `channels`.
     surface : Surface
         Kept points in the image.
-    grizzly : Grizzly
-        The screen; its bars, when known, tell steel from ore between bars.
+    screen : Grizzly
+        The screen; its opening is the unit of lengths.
     volume : Volume or None
         The working volume that the surface was cropped to. Without one, what lies more than an
         opening beside the screen, or wholly beside it, is no ore.
     config : SegmentConfig
-        Thresholds.
-    weights : Weights or None
-        Models of pairs and parts; None for those that ship with the package.
+        Limits.
+    model : LumpModel
+        The network.
 
     Returns
     -------
     OreMap
         Full-image labels numbered from the top of the image; counts of what was dropped.
     """
-    if not np.isfinite(surface.xyz[..., 2]).any():
-        return _ore_map(surface, np.zeros(surface.sigma_z.shape, np.int32), {"parts": 0})
-    models = weights or load()
-    view = look(surface, grizzly, config, models.pixel, bounded=volume is not None)
-    labels = np.zeros(view.mask.shape, np.int32)
-    counts, lumps_before = dict.fromkeys(("parts", "dropped_small", "dropped_unlike"), 0), 0
-    heaps = [
-        (b, heap)
-        for b, heap in _heaps(view, config)
-        if volume or (heap.inside[heap.mask] > 0).any()
+    measured = np.isfinite(surface.xyz[..., 2])
+    labels = np.zeros(measured.shape, np.int32)
+    counts = dict.fromkeys(("parts", "dropped_small", "dropped_unlike"), 0)
+    if not measured.any():
+        return _ore_map(surface, labels, counts)
+    opening = screen.opening_m or config.default_opening_m
+    pixel_m = channels.pixel_m(disparity, surface, screen)
+    opening_px = opening / pixel_m
+    region = _around(measured, disparity.region, MARGIN * opening_px)
+    small, likely = _named(
+        channels.measure(disparity, surface, screen, opening, region), config, model
+    )
+    box = np.s_[
+        region.y0 - surface.y0 : region.y1 - surface.y0,
+        region.x0 - surface.x0 : region.x1 - surface.x0,
     ]
-    found = pool().map(lambda heap: _segment_heap(heap[1], config, models), heaps)
-    for (box, _), (lumps, tally) in zip(heaps, found, strict=True):
-        room = (labels[box] == 0) & (lumps > 0)
-        labels[box][room] = lumps[room] + lumps_before
-        lumps_before += int(lumps.max(initial=0))
-        counts = {key: counts[key] + tally[key] for key in counts}
-    numbered = renumbered(labels, np.arange(lumps_before + 1) > 0)
-    return _ore_map(surface, numbered, counts)
+    labels[box] = laid(small, (region.x1 - region.x0, region.y1 - region.y0))
+    labels = _drawn(labels, surface.bgr, max(1, round(config.band * opening_px)))
+    if volume is None:
+        labels = _on_the_screen(labels, inside_screen(surface, screen, opening))
+    counts["parts"] = int(small.max(initial=0))
+    keep, dropped = _selected(labels, measured, likely, pixel_m, config)
+    return _ore_map(surface, renumbered(labels, keep), counts | dropped)
 
 
-def band_px(view: View, config: SegmentConfig) -> int:
-    """Band [px] on either side of the outline within which the image may move it."""
-    return max(3, round(config.band * view.opening_px))
-
-
-def _heaps(view: View, config: SegmentConfig) -> Iterator[tuple[Box, View]]:
-    """Box and view of each heap: what touches, or nearly so that outlines may meet."""
-    band = band_px(view, config)
-    near = cv2.dilate(view.mask.astype(np.uint8), np.ones((band + 1, band + 1), np.uint8))
-    heaps = np.asarray(cv2.connectedComponents(near, connectivity=4)[1], dtype=np.int32)
-    margin = band + 2
-    for number, (rows, columns) in enumerate(ndimage.find_objects(heaps), start=1):
-        top, left = max(rows.start - margin, 0), max(columns.start - margin, 0)
-        box = np.s_[top : rows.stop + margin, left : columns.stop + margin]
-        fields = {
-            name: getattr(view, name)[box]
-            for name in (
-                "filled",
-                "raw",
-                "grey",
-                "bgr",
-                "likely",
-                "on_bar",
-                "inside",
-                "edge",
-                "border",
-            )
-        }
-        yield box, replace(view, mask=view.mask[box] & (heaps[box] == number), **fields)
-
-
-def coarse_heaps(view: View, config: SegmentConfig) -> Iterator[tuple[Box, View]]:
-    """Box of each heap, and its view at the size at which lumps are told apart."""
-    for box, heap in _heaps(view, config):
-        yield box, _coarse(heap, config)
-
-
-def _coarse(heap: View, config: SegmentConfig) -> View:
-    return shrunk(heap, max(1, int(heap.opening_px / config.opening_px)))
-
-
-def _segment_heap(view: View, config: SegmentConfig, models: Weights) -> tuple[I32, dict[str, int]]:
-    """Lumps of one heap."""
-    coarse = _coarse(view, config)
-    scene, parts = oversegment(coarse, config)
-    merged = filled(merge_parts(scene, parts, config.merge_probability, models.pair))
-    lumps, dropped = _select(scene, merged, coarse, view.relief.pixel_m, config, models)
-    tally = {"parts": int(np.count_nonzero(np.bincount(parts.ravel())) - 1)} | dropped
-    if coarse is view:
-        return lumps, tally
-    seeds = cv2.resize(
-        lumps.astype(np.float32), view.mask.shape[::-1], interpolation=cv2.INTER_NEAREST
+def _around(measured: Mask, matched: Region, margin_px: float) -> Region:
+    """The rectangle of the image around the measured pixels of the matched one."""
+    margin = int(margin_px)
+    (rows, columns) = (np.flatnonzero(measured.any(axis)) for axis in (1, 0))
+    h, w = measured.shape
+    return Region(
+        matched.x0 + max(int(columns[0]) - margin, 0),
+        matched.y0 + max(int(rows[0]) - margin, 0),
+        matched.x0 + min(int(columns[-1]) + 1 + margin, w),
+        matched.y0 + min(int(rows[-1]) + 1 + margin, h),
+        matched.min_disparity,
+        matched.num_disparities,
     )
-    relief = smooth_relief(view.filled, view.mask, config.smooth_px)
-    weight = config.relief_weight / view.relief.sigma_px
-    grown = grow(
-        seeds.astype(np.int32), view.mask, view.grey, relief, weight, band_px(view, config)
-    )
-    return filled(grown), tally
 
 
-def oversegment(view: View, config: SegmentConfig) -> tuple[Scene, I32]:
-    """The ore cut into more parts than there are lumps, and what these are measured against."""
-    sigma = view.relief.sigma_px
-    relief = smooth_relief(view.filled, view.mask, config.smooth_px)
-    valleys = np.stack([valley_depth(relief, max(2, round(view.opening_px / n))) for n in REACHES])
-    tolerance = config.valley_sigmas * sigma + config.valley_share * np.maximum(relief, 0)
-    strength = np.max(
-        [v / (w * tolerance) for v, w in zip(valleys, REACH_WEIGHTS, strict=True)], axis=0
+def _named(seen: channels.Channels, config: SegmentConfig, model: LumpModel) -> tuple[I32, F64]:
+    """Labels 1…n (h, w) in the network's images, and how likely each of 0…n is a whole lump."""
+    said = outputs.read(model(seen.x))
+    least = max(config.min_pixels * seen.scale**2 / 2, FEWEST)
+    labels = votes.lumps(
+        said, least, config.ore_probability, config.agreement, config.line_probability
     )
-    barrier = long_parts(view.mask & (strength > 1), config.least_crease * view.opening_px)
-    least = max(1.5, config.least_core * view.opening_px)
-    seeds = cores(view.mask, barrier, config.neck, least)
-    parts = grow(
-        seeds, view.mask, view.grey, relief, config.relief_weight / sigma, band_px(view, config)
-    )
-    colour = cv2.cvtColor(cv2.GaussianBlur(view.bgr, (0, 0), 1.5), cv2.COLOR_BGR2Lab).astype(
-        np.float32
-    )
-    scene = Scene(
-        relief, view.raw, valleys, view.edge, gradient(relief) / np.float32(sigma), colour,
-        view.likely, view.on_bar, view.inside, sigma, view.threshold_px, view.opening_px,
-    )  # fmt: skip
-    return scene, parts
+    numbered = renumbered(labels, np.arange(int(labels.max(initial=0)) + 1) > 0)
+    found = whole.features(numbered, said, seen.x)
+    likely = model.whole.probability(found) if model.whole else np.ones(len(found))
+    return numbered, np.concatenate([[0.0], likely])
 
 
-def _select(
-    scene: Scene,
-    labels: I32,
-    view: View,
-    full_pixel_m: float,
-    config: SegmentConfig,
-    models: Weights,
-) -> tuple[I32, dict[str, int]]:
-    """Lumps numbered anew, and how many parts were dropped for being small or unlike a lump."""
-    area = np.bincount(labels.ravel())
-    present = area > 0
-    present[0] = False
-    shrink = view.relief.pixel_m / full_pixel_m
-    least = max((config.min_size_m / view.relief.pixel_m) ** 2, config.min_pixels / shrink**2)
-    large = present & (area >= least)
-    doubtful = area < config.small_pixels / shrink**2
-    doubtful[labels[view.border]] = True
+def _drawn(labels: I32, bgr: U8, band: int) -> I32:
+    """Labels with outlines on edges of the image, holes filled."""
+    rows, columns = (np.flatnonzero((labels > 0).any(axis)) for axis in (1, 0))
+    if not len(rows):
+        return labels
+    margin, out = band + RIM, np.zeros_like(labels)
+    box = np.s_[
+        max(rows[0] - margin, 0) : rows[-1] + margin + 1,
+        max(columns[0] - margin, 0) : columns[-1] + margin + 1,
+    ]
+    out[box] = filled(sharpened(labels[box], bgr[box], band))
+    return out
+
+
+def _on_the_screen(labels: I32, inside: np.ndarray) -> I32:
+    """Labels of what is not wholly beside the screen, without what is far beside it."""
+    out = np.where(inside > -1, labels, 0).astype(np.int32)
+    on = np.bincount(labels.ravel(), (inside > 0).ravel(), int(labels.max(initial=0)) + 1) > 0
+    out[~on[out]] = 0
+    return out
+
+
+def _selected(
+    labels: I32, measured: Mask, likely: F64, pixel_m: float, config: SegmentConfig
+) -> tuple[Mask, dict[str, int]]:
+    """Which labels 0…n are lumps, and how many are none for being small or unlike one."""
+    count = len(likely)
+    area = np.bincount(labels.ravel(), minlength=count)
+    kept = np.bincount(labels.ravel(), measured.ravel(), count) / np.maximum(area, 1)
+    large = area >= max((config.min_size_m / pixel_m) ** 2, config.min_pixels)
+    rim = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
+    doubtful = area < config.small_pixels
+    doubtful[rim] = True
     wanted = np.where(doubtful, config.doubtful_probability, config.lump_probability)
-    likely = large & (lump_probability(scene, labels, models.part) > wanted)
-    dropped = {
-        "dropped_small": int((present & ~large).sum()),
-        "dropped_unlike": int((large & ~likely).sum()),
+    keep = large & (likely > wanted) & (kept > config.least_measured)
+    keep[0] = large[0] = False
+    return keep, {
+        "dropped_small": int((~large[1:]).sum()),
+        "dropped_unlike": int((large & ~keep).sum()),
     }
-    return renumbered(labels, likely), dropped
 
 
 def _ore_map(surface: Surface, labels: I32, diagnostics: dict[str, int]) -> OreMap:

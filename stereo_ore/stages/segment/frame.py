@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from stereo_ore.stages.segment.relief import Relief, bar_coordinates
+from stereo_ore.stages.segment.relief import Relief, bar_coordinates, measure_relief
 from stereo_ore.types import F32, F64, Bars, Grizzly, Mask, Surface
 
 CELLS_PER_BAR = 2
@@ -31,15 +31,6 @@ class Side:
     cell: float
     height: F64
 
-    def at(self, coordinate: F32) -> F32:
-        """Height of the frame at these coordinates; NaN where there is none. Beyond the ends it is
-        the outermost.
-        """
-        index = np.clip((coordinate - self.low) / self.cell, 0, len(self.height) - 1).astype(
-            np.intp
-        )
-        return np.asarray(self.height.astype(np.float32)[index], dtype=np.float32)
-
     @property
     def inner(self) -> tuple[float, float]:
         """Between which coordinates [m] the screen is open."""
@@ -53,14 +44,6 @@ class Frame:
     """The frame's sides against the coordinate across the bars and the one along them."""
 
     sides: tuple[Side, Side]
-
-    def covers(self, c: F32, s: F32, height_m: F32, tolerance_m: F32) -> Mask:
-        """True for points that lie as high as the frame there."""
-        near = [
-            np.abs(height_m - side.at(x)) < tolerance_m
-            for side, x in zip(self.sides, (c, s), strict=True)
-        ]
-        return np.asarray(near[0] | near[1], dtype=np.bool_)
 
     def inside(self, c: F32, s: F32) -> F32:
         """Distance [m] of points from the nearest side, negative outside."""
@@ -145,3 +128,19 @@ def _row_heights(closed: Mask, row: np.ndarray, heights: F32, reach: int, cell: 
             if np.median(np.abs(mine - middle)) < FLAT * cell and abs(middle) < reach * cell / 2:
                 out[r] = middle
     return out
+
+
+def inside_screen(surface: Surface, grizzly: Grizzly, opening_m: float) -> F32:
+    """How far (h, w) [openings, −1…1] points lie inside the screen's sides; 0 where none is.
+
+    All is inside where the bars are not known.
+    """
+    if (bars := grizzly.bars) is None:
+        return np.ones(surface.sigma_z.shape, np.float32)
+    relief = measure_relief(surface, grizzly)
+    inside = np.zeros(relief.px.shape, np.float32)
+    at = np.flatnonzero(np.isfinite(relief.px))
+    c, s = bar_coordinates(surface, bars, surface.xyz[..., 2].ravel()[at], at=at)
+    frame = find_frame(surface, relief, grizzly, bars)
+    inside.ravel()[at] = np.clip(frame.inside(c, s) / opening_m, -1, 1)
+    return inside

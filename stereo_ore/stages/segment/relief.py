@@ -18,9 +18,6 @@ I64 = npt.NDArray[np.int64]
 
 SAMPLED = 60_000
 """Pixels that the middle depth and the noise are taken from."""
-OCCLUSION_SLACK, OCCLUSION_EXTRA = 1.3, 2
-"""A half occlusion is as wide as the step in disparity beside it; a matcher makes it a little wider
-[factor, px]."""
 
 
 @dataclass(frozen=True)
@@ -80,38 +77,3 @@ def bar_coordinates(
     across -= np.float32(bars.phase_m)
     along *= depth_m
     return across, along
-
-
-def bar_clearance(across: F32, bars: Bars) -> F32:
-    """Distance [m] from the nearest bar's edge, negative over a bar, of coordinates across the bars
-    [m].
-    """
-    pitch = np.float32(bars.pitch_m)
-    return np.asarray(
-        np.abs(across - pitch * np.round(across / pitch)) - np.float32(bars.width_m / 2),
-        dtype=np.float32,
-    )
-
-
-def fill_occlusions(px: F32) -> F32:
-    """The relief with half occlusions filled from the farther side, which is what an occluded pixel
-    shows.
-
-    A row's gap is filled when it is no wider than the step in disparity to its right can have
-    hidden from the right eye.
-    """
-    width = px.shape[1]
-    valid = np.isfinite(px).ravel()
-    # A gap lies between a measured pixel and the next one in its row that are no neighbours.
-    change = np.flatnonzero(valid[1:] != valid[:-1])[0 if valid[0] else 1 :]
-    before, after = change[0 : len(change) // 2 * 2 : 2], change[1::2] + 1
-    same_row = before // width == after // width
-    before, after = before[same_row], after[same_row]
-    far, near = px.ravel()[before], px.ravel()[after]
-    length = after - before - 1
-    fits = length <= OCCLUSION_SLACK * np.maximum(near - far, 0) + OCCLUSION_EXTRA
-    first, length = before[fits] + 1, length[fits]
-    inside = np.arange(length.sum()) - np.repeat(np.cumsum(length) - length, length)
-    out = px.copy()
-    out.ravel()[np.repeat(first, length) + inside] = np.repeat(np.minimum(near, far)[fits], length)
-    return out

@@ -1,0 +1,113 @@
+"""The network of lumps in PyTorch (extra ``train``), its loss, and its way into an ONNX file."""
+
+from __future__ import annotations
+
+import warnings
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import nn
+from torch.nn import functional
+
+from stereo_ore.stages.segment.channels import CHANNELS
+from stereo_ore.stages.segment.outputs import OUTPUTS
+from stereo_ore.types import F32
+
+WIDTHS = (32, 64, 96, 96)
+"""Features at strides 2, 4, 8 and 16."""
+EVEN_AREA, SMALL_AREA = 660.0, 36.0
+"""A lump of so many pixels weighs 1 a pixel; what one sees of very small ones is doubtful."""
+LINE, OFFSET, SIZE = 5.0, 2.0, 0.3
+"""What the losses of contact line, offset and size count beside that of ore."""
+BESIDE = 0.2
+"""What the contact line's loss counts where there is no ore."""
+
+
+def _block(ins: int, outs: int, stride: int = 1) -> nn.Sequential:
+    conv = nn.Conv2d(ins, outs, 3, stride, 1, bias=False)
+    return nn.Sequential(conv, nn.BatchNorm2d(outs), nn.ReLU())
+
+
+class LumpNet(nn.Module):  # type: ignore[misc]
+    """An encoder and decoder with additive skips; outputs come to full size by depth-to-space.
+
+    In (n, C, h, w), sides multiples of 16; out (n, 5, h, w) as `stages.segment.outputs` has them,
+    ore and contact line as logits.
+    """
+
+    def __init__(self, widths: tuple[int, ...] = WIDTHS) -> None:
+        super().__init__()
+        ins = (len(CHANNELS), *widths)
+        self.down = nn.ModuleList(
+            nn.Sequential(_block(a, b, 2), _block(b, b)) for a, b in zip(ins, widths, strict=False)
+        )
+        self.middle = _block(widths[-1], widths[-1])
+        self.side = nn.ModuleList(_block(b, a) for a, b in pairwise(widths))
+        self.up = nn.ModuleList(_block(a, a) for a in widths[:-1])
+        self.out = nn.Conv2d(widths[0], 4 * len(OUTPUTS), 3, 1, 1)
+
+    def forward(self, x: Any) -> Any:
+        """Outputs of a batch."""
+        skips = []
+        for layer in self.down:
+            x = layer(x)
+            skips.append(x)
+        x = self.middle(x)
+        for i in reversed(range(len(self.up))):
+            wider = functional.interpolate(self.side[i](x), scale_factor=2, mode="nearest")
+            x = self.up[i](wider + skips[i])
+        return functional.pixel_shuffle(self.out(x), 2)
+
+
+def loss_of(y: Any, t: Any) -> Any:
+    """Mean loss of outputs y (n, 5, h, w) against targets t (n, 7, h, w) as `crops` makes them.
+
+    Every lump weighs about the same, whatever its size.
+    """
+    ore, line, offset, size, area, inside = t[:, 0], t[:, 1], t[:, 2:4], t[:, 4], t[:, 5], t[:, 6]
+    certain = inside * torch.where((area < SMALL_AREA) & (ore > 0), 0.2, 1.0)
+    even = torch.where(ore > 0, EVEN_AREA / area.clamp(min=1), torch.zeros_like(area))
+    weight = torch.where(ore > 0, even.clamp(0.25, 3), torch.ones_like(area)) * certain
+    each = even.clamp(0.05, 8) * certain
+
+    def entropy(k: int, truth: Any) -> Any:
+        return functional.binary_cross_entropy_with_logits(y[:, k], truth, reduction="none")
+
+    def over(loss: Any) -> Any:
+        return (loss * each).sum() / each.sum().clamp(min=1)
+
+    away = functional.l1_loss(y[:, 2:4], offset, reduction="none").sum(1)
+    away = away / torch.exp(size).clamp(0.2, 3).sqrt()
+    sizes = functional.smooth_l1_loss(y[:, 4], size, reduction="none", beta=0.3)
+    lines = (entropy(1, line) * inside * (BESIDE + (1 - BESIDE) * ore)).mean()
+    return (
+        (entropy(0, ore) * weight).mean() + LINE * lines + OFFSET * over(away) + SIZE * over(sizes)
+    )
+
+
+def outputs_of(net: nn.Module, x: F32) -> F32:
+    """Outputs (5, h, w) of channels (C, h, w), ore and line as logits: what the ONNX file gives."""
+    h, w = x.shape[1:]
+    padded = np.pad(x, [(0, 0), (0, -h % 16), (0, -w % 16)])
+    with torch.no_grad():
+        return np.asarray(net(torch.from_numpy(padded)[None])[0, :, :h, :w].numpy(), np.float32)
+
+
+def export(net: nn.Module, path: Path) -> None:
+    """Write the network as one ONNX file, sides free; batch norms fold into the convolutions."""
+    net = net.eval().to(memory_format=torch.contiguous_format)
+    x = torch.zeros(1, len(CHANNELS), 256, 320)
+    sides = {
+        2: torch.export.Dim("h16", min=2, max=256) * 16,
+        3: torch.export.Dim("w16", min=2, max=256) * 16,
+    }
+    with warnings.catch_warnings():
+        # The exporter warns of what its own libraries are about to change.
+        warnings.simplefilter("ignore")
+        torch.onnx.export(
+            net, (x,), str(path), opset_version=18, external_data=False, dynamic_shapes=(sides,),
+            input_names=["channels"], output_names=["lumps"], verbose=False,
+        )  # fmt: skip

@@ -1,0 +1,169 @@
+"""The network of lumps as a folder: `model.onnx`, and `card.json` that says what it is."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from threading import Lock
+from typing import Any
+
+import cv2
+import numpy as np
+
+from stereo_ore.errors import ConfigError
+from stereo_ore.stages.segment.channels import CHANNELS, UNIT
+from stereo_ore.stages.segment.outputs import OUTPUTS
+from stereo_ore.stages.segment.whole import Whole
+from stereo_ore.types import F32
+
+FORMAT, VERSION = "stereo_ore/lump-model", 1
+SHIPPED = "shipped"
+"""Name of the model that comes with the package."""
+STRIDE = 16
+"""Sides of the network's input are multiples of this."""
+KEY = "models.lumps"
+REMEDY = "Make it with: stereo-ore tune OUT --train ore; or leave the key out for the shipped model"
+
+
+@dataclass(frozen=True)
+class Card:
+    """What a model is: inputs, scale, outputs, hash of the network, the model of whole lumps; and
+    the rest as it was written: how it was trained and how good it is.
+    """
+
+    inputs: tuple[str, ...]
+    unit_px: int
+    outputs: tuple[str, ...]
+    sha256: str
+    whole: Whole | None
+    about: dict[str, Any]
+
+
+class LumpModel:
+    """A network that is ready to run; copies that other processes get load it again.
+
+    Parameters
+    ----------
+    onnx : bytes
+        The network.
+    card : Card
+        What it says of itself.
+    """
+
+    def __init__(self, onnx: bytes, card: Card) -> None:
+        self.onnx, self.card = onnx, card
+        self._prepare()
+
+    @property
+    def whole(self) -> Whole | None:
+        """The model of whole lumps, where the card has one."""
+        return self.card.whole
+
+    def _prepare(self) -> None:
+        # One run at a time: OpenCV keeps the values between the layers in the network itself.
+        self._lock = Lock()
+        try:
+            self._net = cv2.dnn.readNetFromONNX(np.frombuffer(self.onnx, np.uint8))
+        except cv2.error as error:
+            raise ConfigError(
+                "model.onnx is no network that OpenCV can read", key=KEY, remedy=REMEDY
+            ) from error
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"onnx": self.onnx, "card": self.card}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.onnx, self.card = state["onnx"], state["card"]
+        self._prepare()
+
+    def __call__(self, x: F32) -> F32:
+        """Outputs (5, h, w) of channels (C, h, w), as `outputs.OUTPUTS` has them, not yet rounded.
+
+        The same for any number of threads; other processors and versions of OpenCV may differ by
+        about 1e-5.
+        """
+        h, w = x.shape[1:]
+        padded = np.pad(x, [(0, 0), (0, -h % STRIDE), (0, -w % STRIDE)])
+        with self._lock:
+            self._net.setInput(padded[None].astype(np.float32))
+            found = np.array(self._net.forward(), np.float32)
+        return found[0, :, :h, :w]
+
+
+def load(place: str = SHIPPED) -> LumpModel:
+    """The model of a folder, or the one that ships with the package.
+
+    Raises
+    ------
+    ConfigError
+        Naming file, key, value and remedy, when it is none or wants other inputs than are made.
+    """
+    return _shipped() if place == SHIPPED else _read(Path(place))
+
+
+@cache
+def _shipped() -> LumpModel:
+    return _read(Path(str(files("stereo_ore") / "models" / "lumps")))
+
+
+def _read(folder: Path) -> LumpModel:
+    network, card = folder / "model.onnx", folder / "card.json"
+    try:
+        onnx, text = network.read_bytes(), card.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(
+            f"{str(folder)!r} holds no model: {error.strerror} ({Path(error.filename).name})",
+            key=KEY,
+            remedy=REMEDY,
+        ) from error
+    return LumpModel(onnx, _checked(card, text, onnx))
+
+
+def _checked(path: Path, text: str, onnx: bytes) -> Card:
+    """The card, once it fits this program and its network."""
+    try:
+        data = json.loads(text)
+        card = Card(
+            tuple(data["inputs"]),
+            int(data["unit_px"]),
+            tuple(data["outputs"]),
+            str(data["sha256"]),
+            Whole.read(data["whole"]) if data.get("whole") else None,
+            {key: value for key, value in data.items() if key not in Card.__dataclass_fields__},
+        )
+    except (ValueError, KeyError, TypeError) as error:
+        raise ConfigError(f"no card of a model: {error!r}", file=path, remedy=REMEDY) from error
+    expected: dict[str, tuple[Any, Any]] = {
+        "format": (data.get("format"), FORMAT),
+        "version": (data.get("version"), VERSION),
+        "inputs": (card.inputs, CHANNELS),
+        "unit_px": (card.unit_px, UNIT),
+        "outputs": (card.outputs, OUTPUTS),
+        "sha256": (card.sha256, hashlib.sha256(onnx).hexdigest()),
+    }
+    for key, (given, wanted) in expected.items():
+        if given != wanted:
+            raise ConfigError(
+                f"{given!r} does not fit: {wanted!r} is needed", file=path, key=key, remedy=REMEDY
+            )
+    return card
+
+
+def write(folder: Path, onnx: bytes, about: dict[str, Any]) -> None:
+    """Write a model folder; `about` goes into its card."""
+    folder.mkdir(parents=True, exist_ok=True)
+    card = {
+        "format": FORMAT,
+        "version": VERSION,
+        "inputs": CHANNELS,
+        "unit_px": UNIT,
+        "outputs": OUTPUTS,
+        "sha256": hashlib.sha256(onnx).hexdigest(),
+        **about,
+    }
+    (folder / "model.onnx").write_bytes(onnx)
+    (folder / "card.json").write_text(json.dumps(card, indent=1) + "\n", encoding="utf-8")

@@ -1,0 +1,41 @@
+"""The network of lumps that a run uses: chosen by folder, refused by name, told in run.json."""
+
+import json
+from pathlib import Path
+
+from typer.testing import CliRunner
+
+from stereo_ore.cli import app, load_verbs
+from stereo_ore.errors import ConfigError
+from stereo_ore.stages import segment
+from stereo_ore.stages.segment import model
+
+SCENE = Path(__file__).parents[1] / "data" / "paper_03"
+
+
+def run(out: Path, *options: str) -> object:
+    load_verbs()
+    rig = ("--calib", str(SCENE / "calibration.yaml"), "--site", str(SCENE / "site.yaml"))
+    files = ("--no-report", "--no-clouds", "--no-overlays")
+    return CliRunner().invoke(app, ["run", str(SCENE), *rig, "--out", str(out), *files, *options])
+
+
+def test_a_run_tells_which_network_it_used_and_another_folder_is_another_run(tmp_path: Path):
+    shipped = segment.load()
+    assert run(tmp_path / "a").exit_code == 0
+    told = json.loads((tmp_path / "a" / "run.json").read_text())
+    assert told["models"] == {"lumps": {"sha256": shipped.card.sha256}}
+    model.write(tmp_path / "mine", shipped.onnx, {})
+    assert run(tmp_path / "b", "--models", str(tmp_path / "mine")).exit_code == 0
+    found = [json.loads((tmp_path / n / "frames.jsonl").read_text()) for n in "ab"]
+    assert found[0]["counts"]["ores"] > 2
+    assert found[0]["counts"]["voxels"] == found[1]["counts"]["voxels"]
+    again = run(tmp_path / "a", "--resume", "--models", str(tmp_path / "mine"))
+    assert isinstance(again.exception, ConfigError) or again.exit_code == 1
+
+
+def test_a_folder_without_a_network_ends_the_run_before_the_first_frame(tmp_path: Path):
+    done = run(tmp_path / "out", "--models", str(tmp_path))
+    assert isinstance(done.exception, ConfigError)
+    assert done.exception.key == "models.lumps"
+    assert not (tmp_path / "out").exists()
