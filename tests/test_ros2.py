@@ -130,22 +130,24 @@ def served(synth_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Serv
     options = ["--site", synth_folder / "site.yaml", "--out", out, "--valid-for", VALID_FOR_S]
     options += ["--set", "health.refuse_frozen=false"]
     with (
-        driver(synth_folder, count=3, period_s=1.5, vary=False, linger_s=180) as camera,
+        # As PNG a message is smaller than what the middleware buffers: none is lost on a busy machine.
+        driver(
+            synth_folder, count=3, period_s=1.5, vary=False, encoding="png", linger_s=240
+        ) as camera,
         listener() as early,
         process(*COMMAND, "serve", "--ros2", "--ros2-out", *options, stderr=True) as program,
     ):
-        camera.wait_line("done")
+        camera.wait_line("done", 2 * WAIT_S)
         newest = START + 2 * STEP
-        wait_for(
-            lambda: any(
-                m.get("stamp") == newest for m in early.json() if m["topic"] == "overlay/compressed"
-            ),
-            WAIT_S,
-            "overlay of the last frame",
-        )
+
+        def shown() -> bool:
+            pictures = (m for m in early.json() if m["topic"] == "overlay/compressed")
+            return any(picture["stamp"] == newest for picture in pictures)
+
+        wait_for(shown, WAIT_S, "overlay of the last frame")
         with listener() as late:
-            shown = {"lumps", "cloud", "overlay/compressed", "camera_info", "/diagnostics"}
-            wait_for(lambda: {m["topic"] for m in late.json()} >= shown, WAIT_S, "the latest")
+            latest = {"lumps", "cloud", "overlay/compressed", "camera_info", "/diagnostics"}
+            wait_for(lambda: {m["topic"] for m in late.json()} >= latest, WAIT_S, "the latest")
             program.popen.send_signal(signal.SIGKILL)
             killed_s = time.monotonic()
             time.sleep(GONE_S)
