@@ -104,8 +104,8 @@ class ClusterError(StereoOreError):
 class MissingExtraError(StereoOreError):
     """An optional part of the program that is not installed."""
 
-    def __init__(self, package: str, extra: str) -> None:
+    def __init__(self, package: str, extra: str, remedy: str | None = None) -> None:
         super().__init__(
             f"the optional package {package} is not installed",
-            remedy=f'pip install "stereo-ore[{extra}]"',
+            remedy=remedy or f'pip install "stereo-ore[{extra}]"',
         )

@@ -8,7 +8,10 @@ from typing import Any
 import cv2
 import numpy as np
 
+from stereo_ore.chain import no_counts
 from stereo_ore.io import clouds
+from stereo_ore.record import record as frame_record
+from stereo_ore.types import FrameResult, Site
 
 ROOT = Path(__file__).parents[1]
 STAMP = 1_700_000_000_000_000_000
@@ -68,6 +71,15 @@ def record(
         "rms_m": 0.002},
         "ores": ores, "targets": targets,
     } | more  # fmt: skip
+
+
+def of_today(entry: dict[str, Any], stamp_source: str) -> dict[str, Any]:
+    """The same frame as a record of the version that is written now, with a source of its stamp."""
+    made = FrameResult(entry["frame"], entry["index"], entry["stamp_ns"], "ok", (), no_counts())
+    today = frame_record(made, Site())
+    known = {key: value for key, value in entry.items() if key not in ("schema", "grizzly")}
+    ores = [{"carries": [], "carried_by": [], **lump} for lump in entry["ores"]]
+    return today | known | {"stamp_source": stamp_source, "ores": ores}
 
 
 def cloud(seed: int, count: int = 500) -> clouds.Records:

@@ -287,6 +287,61 @@ TOPICS = {
     "depthai": ("/oak/left/image_rect", "/oak/right/image_rect", True),
     "EuRoC": ("/cam0/image_raw", "/cam1/image_raw", False),
 }
+OFFERED = {
+    "zed-ros2-wrapper 5": [
+        f"/zed/zed_node/{eye}/{kind}/image"
+        for eye in ("left", "right", "rgb")
+        for kind in ("color/raw", "color/rect", "gray/raw", "gray/rect")
+    ],
+    "zed-ros2-wrapper 4": [
+        f"/zed/zed_node/{eye}{name}"
+        for eye in ("left", "right", "rgb")
+        for name in (
+            "_raw/image_raw_color",
+            "/image_rect_color",
+            "_gray/image_rect_gray",
+            "_raw_gray/image_raw_gray",
+        )
+    ],
+    "realsense-ros": [
+        "/camera/camera/infra1/image_rect_raw",
+        "/camera/camera/infra2/image_rect_raw",
+        "/camera/camera/color/image_raw",
+        "/camera/camera/depth/image_rect_raw",
+    ],
+    "depthai-ros": [
+        *(
+            f"/oak/{eye}/{name}"
+            for eye in ("left", "right")
+            for name in ("image_raw", "image_rect")
+        ),
+        "/oak/rgb/image_raw",
+        "/oak/stereo/image_raw",
+    ],
+    "image_pipeline": [
+        f"/stereo/{eye}/{name}"
+        for eye in ("left", "right")
+        for name in ("image_raw", "image_mono", "image_color", "image_rect", "image_rect_color")
+    ],
+}
+CHOSEN = {
+    "zed-ros2-wrapper 5": "/zed/zed_node/left/color/rect/image",
+    "zed-ros2-wrapper 4": "/zed/zed_node/left/image_rect_color",
+    "realsense-ros": "/camera/camera/infra1/image_rect_raw",
+    "depthai-ros": "/oak/left/image_rect",
+    "image_pipeline": "/stereo/left/image_rect_color",
+}
+
+
+@pytest.mark.parametrize("driver", OFFERED)
+@pytest.mark.parametrize("compressed", [False, True])
+def test_of_all_that_a_driver_offers_the_best_pair_is_taken(driver: str, compressed: bool) -> None:
+    offered = OFFERED[driver]
+    offered = offered + [f"{topic}/compressed" for topic in offered] if compressed else offered
+    left, right = choose_topics(offered, None, "ROS 2")
+    assert left == CHOSEN[driver]
+    assert right in offered
+    assert is_rectified(left)
 
 
 @pytest.mark.parametrize("name", TOPICS)

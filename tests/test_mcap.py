@@ -10,7 +10,7 @@ import node
 import numpy as np
 import pytest
 import yaml
-from runs import PERIOD, STAMP, cloud, make_run, ore, record
+from runs import PERIOD, STAMP, cloud, make_run, of_today, ore, record
 
 from stereo_ore.errors import OutputError, SourceError
 from stereo_ore.io.results import Results
@@ -206,18 +206,15 @@ def test_overlay_is_the_file(folder: Path, messages: dict[str, list[tuple[int, A
 
 
 def test_the_record_says_where_stamps_are_from(tmp_path: Path) -> None:
-    known = {"schema": "stereo_ore/frame/2", "losses": [], "grizzly": None}
-    known |= {"stamp_source": "modification time"}
-    path = write_mcap(
-        Results(make_run(tmp_path / "run", [record(0, [], **known)])), tmp_path / "bag"
-    )
+    told = of_today(record(0, []), "modification time")
+    path = write_mcap(Results(make_run(tmp_path / "run", [told])), tmp_path / "bag")
     with AnyReader([path]) as reader:
-        ((told, data),) = [
+        ((at, data),) = [
             (stamp, json.loads(reader.deserialize(raw, c.msgtype).data))
             for c, stamp, raw in reader.messages()
             if c.topic == "/stereo_ore/record"
         ]
-    assert (told, data["stamp_ns"], data["stamp_source"]) == (STAMP, STAMP, "modification time")
+    assert (at, data["stamp_ns"], data["stamp_source"]) == (STAMP, STAMP, "modification time")
 
 
 def test_without_stamps_and_arm(tmp_path: Path) -> None:

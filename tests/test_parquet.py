@@ -8,7 +8,7 @@ from datetime import date
 from pathlib import Path
 
 import pytest
-from runs import STAMP, make_run, ore, record
+from runs import STAMP, make_run, of_today, ore, record
 
 from stereo_ore.errors import OutputError, SourceError
 from stereo_ore.io.ore_table import FIELDS
@@ -24,12 +24,6 @@ from pyarrow import dataset, parquet
 from stereo_ore.export.parquet import NO_DAY, TABLES, run_id, schema_of, write_parquet
 
 DAY_NS = 86_400_000_000_000
-STAMPED = {
-    "schema": "stereo_ore/frame/2",
-    "stamp_source": "header",
-    "losses": [],
-    "grizzly": None,
-}
 GUIDE = Path(__file__).parents[1] / "docs" / "cluster.md"
 
 
@@ -57,7 +51,7 @@ def lake(tmp_path: Path) -> Path:
     """Two runs of different cameras; the first goes on for a day and has a frame without ores."""
     first = [record(0, [ore(1), ore(2, oversize=False)]), record(1, [ore(1, strike=False)])]
     first += [
-        record(2, [ore(1)], stamp_ns=STAMP + DAY_NS, **STAMPED),
+        of_today(record(2, [ore(1)], stamp_ns=STAMP + DAY_NS), "header"),
         record(3, [], "empty", stamp_ns=STAMP + 2 * DAY_NS),
     ]
     add(tmp_path / "a", first, tmp_path / "lake", "a", "north")

@@ -97,10 +97,17 @@ def test_written_and_read_again_is_the_same(turn, offset: float, arm: bool, tmp_
     assert (again.opening_m, again.reach_min_m.tolist()) == (0.3, box[0].tolist())
 
 
-def test_a_volume_of_another_frame_is_not_written(tmp_path: Path) -> None:
-    turned = from_vector(np.array([0.1, 0, 0, 0, 0, 0]))
-    with pytest.raises(ConfigError, match="neither"):
-        save_site(Site(volume=Volume(turned, np.zeros(3), np.ones(3))), tmp_path / "site.yaml")
+def test_a_volume_of_another_frame_is_that_of_the_screen(tmp_path: Path) -> None:
+    turned = from_vector(np.array([0.1, 0, 0, 0, 0, 2.0]))
+    volume = Volume(turned, np.array([-1.0, -1, 0]), np.array([1.0, 1, 4]))
+    save_site(Site(volume=volume), tmp_path / "site.yaml")
+    again = load_site(tmp_path / "site.yaml").volume
+    assert again is not None
+    assert np.array_equal(again.T_box_camera, turned)
+    document = yaml.safe_load((tmp_path / "site.yaml").read_text())
+    del document["screen_from_camera"]
+    (tmp_path / "site.yaml").write_text(yaml.safe_dump(document))
+    assert "screen_from_camera is not given" in refused(tmp_path / "site.yaml")
 
 
 def test_a_new_arm_keeps_what_the_arm_frame_holds(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from runs import quarter_scene
 
+from stereo_ore.cli.recording import calibration_of
 from stereo_ore.errors import CalibrationError, FrameError, SourceError
 from stereo_ore.io.recordings import BagOptions, open_source, ros_messages
 from stereo_ore.io.recordings.pairing import pair_by_stamp
@@ -25,6 +26,7 @@ from stereo_ore.io.recordings.topics import camera_info_topics, choose_topics, i
 
 pytest.importorskip("rosbags", reason="the extra [bags] is not installed")
 
+REPOSITORY = Path(__file__).parents[1]
 START = 1_700_000_000_000_000_000
 PERIOD = 66_666_667
 WIDTH, HEIGHT = 32, 20
@@ -259,7 +261,8 @@ def test_topics_are_recognised(topics: tuple[str, ...], expected: tuple[str, str
         ((), 0),
         (("/a/image", "/b/image"), 0),
         (("/left/image_raw", "/right/image_rect"), 0),
-        (("/left/image_raw", "/right/image_raw", "/left/image_rect", "/right/image_rect"), 2),
+        (("/left/image_raw", "/right/image_raw", "/b/left/image", "/b/right/image"), 2),
+        (("/left/one", "/right/one", "/left/two", "/right/two"), 2),
     ],
 )
 def test_topics_are_never_guessed(topics: tuple[str, ...], count: int) -> None:
@@ -268,12 +271,30 @@ def test_topics_are_never_guessed(topics: tuple[str, ...], count: int) -> None:
     ) as caught:
         choose_topics(topics, None, Path("bag"))
     options = (
-        "--left-topic /left/image_raw --right-topic /right/image_raw or --left-topic"
-        " /left/image_rect"
+        f"--left-topic {topics[0]} --right-topic {topics[1]} or" if count else "image topics: "
     )
-    assert (options if count else "--left-topic and --right-topic; image topics: ") in str(
-        caught.value
+    other = f"--left-topic {topics[2]} --right-topic {topics[3]} or" if count else "image topics: "
+    assert options in str(caught.value) or other in str(caught.value)
+
+
+def test_of_one_camera_the_images_that_need_no_rectification_are_taken(tmp_path: Path) -> None:
+    names = ("image_raw", "image_rect", "image_rect/compressed")
+    topics = [f"/camera/{eye}/{name}" for eye in ("right", "left") for name in names]
+    chosen = ("/camera/left/image_rect", "/camera/right/image_rect")
+    assert choose_topics(topics, None, Path("bag")) == chosen
+
+
+def test_a_calibration_of_raw_images_is_refused_for_rectified_ones(tmp_path: Path) -> None:
+    topics = ("/left/image_rect", "/right/image_rect")
+    path = write_bag(tmp_path / "bag", "mcap", shots(1, topics=topics))
+    file = tmp_path / "raw.yaml"
+    file.write_text(
+        (REPOSITORY / "calib" / "zed2_hd720.yaml")
+        .read_text()
+        .replace("images: rectified", "images: raw")
     )
+    with pytest.raises(CalibrationError, match="is for raw images, /left/image_rect has rect"):
+        calibration_of(open_source(path), file)
 
 
 def test_given_topics(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from stereo_ore.config import CloudConfig, Config
 from stereo_ore.errors import FrameError
 from stereo_ore.stages import cloud, grizzly, matching
+from stereo_ore.transforms import frame_from_normal
 from stereo_ore.types import (
     F64,
     Bars,
@@ -106,15 +107,16 @@ def _first(disparity: Disparity, pair: RectifiedPair, known: Site, config: Confi
     a hall's floor and walls are wider planes than a screen.
     """
     seen = _surface(disparity, pair, known, config).xyz[..., 2]
-    found, fault = [], None
-    for depth in np.quantile(seen[np.isfinite(seen)], NEARER):
+    seen = seen[np.isfinite(seen)]
+    found, fault = [], FrameError("nothing is measured in the recording", code="NO_SCREEN")
+    for depth in np.quantile(seen, NEARER) if len(seen) else ():
         near = config.model_copy(update={"cloud": CloudConfig(max_depth_m=float(depth))})
         try:
             surface = _surface(disparity, pair, known, near)
             found.append(grizzly.find(surface, known, config.grizzly))
         except FrameError as error:
             fault = error
-    if not found and fault is not None:
+    if not found:
         raise fault
     return max(found, key=_clearness)
 
@@ -154,11 +156,11 @@ def _screen_from_camera(plane: Plane, bars: Bars, low: F64, high: F64) -> tuple[
     """``T_screen_camera``, x across the bars, y along them, z up, the origin in the middle of the
     screen; and half its size (2,) [m].
     """
-    along = np.cross(plane.normal, bars.across)
-    sign = np.sign(along @ bars.direction)
-    R = np.stack([bars.across, along, plane.normal])
+    # The plane was fitted once more after the bars: their direction lies nearly in it.
+    R = frame_from_normal(plane.normal, bars.across)
     middle = (low + high) / 2
-    at = bars.across * (bars.phase_m + middle[0]) + along * sign * middle[1]
+    sign = np.sign(R[1] @ bars.direction)
+    at = R[0] * (bars.phase_m + middle[0]) + R[1] * sign * middle[1]
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = R, -R @ (at + plane.normal * plane.offset)
     return T, (high - low) / 2
@@ -178,7 +180,8 @@ def differences(given: Site, found: Site) -> Iterator[Difference]:
     """Compare what a site says of the screen with a survey of it; nothing for what it does not say.
 
     The plane may be off by a tenth of an opening in the middle of the screen, as frames may
-    (`health.max_bar_shift`), and by 1.5°; the volume must hold the screen that is seen to an opening.
+    (`health.max_bar_shift`), and by 1.5°; the volume must hold the screen that
+    is seen to an opening.
     """
     opening = found.opening_m
     assert opening is not None, "a survey has an opening"

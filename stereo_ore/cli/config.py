@@ -66,10 +66,12 @@ def schema(
     from importlib.resources import files
 
     from stereo_ore.config import Config
+    from stereo_ore.io.record_check import NEWEST
     from stereo_ore.plant.sinks.settings import SinksSettings
 
     if part in ("targets", "frame"):
-        text = files("stereo_ore").joinpath("schema", f"{part}-1.json").read_text(encoding="utf-8")
+        name = {"targets": "targets-1.json", "frame": NEWEST}[part]
+        text = files("stereo_ore").joinpath("schema", name).read_text(encoding="utf-8")
     else:
         model = Config if part == "parameters" else SinksSettings
         text = json.dumps(model.model_json_schema(), indent=1)

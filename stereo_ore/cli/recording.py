@@ -45,9 +45,13 @@ def calibration_of(
     """The calibration given or, without one, that of the recording."""
     from stereo_ore.io.calibration import load
     from stereo_ore.io.recordings import frame_size
+    from stereo_ore.io.recordings.topics import check_images
 
     if calib:
-        return load(calib, image_size=image_size, recorded_size=frame_size(recording))
+        loaded = load(calib, image_size=image_size, recorded_size=frame_size(recording))
+        if topics := getattr(recording, "topics", None):
+            check_images(topics[0], loaded, calib)
+        return loaded
     if recording.calibration is None:
         raise SourceError(
             "carries no calibration", file=recording.path, remedy="Give one with --calib"

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from stereo_ore.cli.ros2 import Ros2Out, topics_out
 from stereo_ore.cli.serve import ModbusPort, MqttPort, OpcUaPort, SinksFile, TcpPort, ValidFor
 
 
@@ -30,6 +31,7 @@ def replay(
     mqtt: MqttPort = None,
     tcp: TcpPort = None,
     modbus: ModbusPort = None,
+    ros2_out: Ros2Out = False,
     valid_for: ValidFor = 5.0,
 ) -> None:
     """Publish the targets of a recorded run again, as `serve` does; every message says that it is a
@@ -39,19 +41,23 @@ def replay(
     """
     from stereo_ore.plant.publisher import Publisher
     from stereo_ore.plant.replay import frames, saved_transform, schedule
+    from stereo_ore.plant.ros2.view import View
     from stereo_ore.plant.sinks.message import Origin, message, new_session, transform_id
-    from stereo_ore.plant.sinks.settings import load_sinks, open_sinks
+    from stereo_ore.plant.sinks.settings import load_sinks, open_sinks, with_ros2
 
     settings = load_sinks(sinks, opcua=opcua, mqtt=mqtt, tcp=tcp, modbus=modbus)
+    settings = with_ros2(settings) if ros2_out else settings
     origin = Origin(new_session(), transform_id(saved_transform(folder)), replay=True)
     if dry_run:
         for sequence, record in enumerate(frames(folder), 1):
             typer.echo(message(record, sequence, origin, age_s=0.0, valid_for_s=valid_for).line())
         return
     consumers = open_sinks(settings, origin)
+    if settings.ros2 is not None:
+        consumers += topics_out(settings, View.of_folder(folder, valid_for))
     if not consumers:
         raise typer.BadParameter(
-            "name a consumer: --opcua, --mqtt, --modbus, --tcp or --sinks; or --dry-run"
+            "name a consumer: --opcua, --mqtt, --modbus, --tcp, --ros2-out or --sinks; or --dry-run"
         )
     with Publisher(consumers, valid_for, origin) as publisher:
         start = time.monotonic()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import logging
 import re
 import signal
@@ -14,6 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from stereo_ore.cli.ros2 import Ros2Out, live_view, open_live, topics_out
 
 if TYPE_CHECKING:
     from stereo_ore.plant.frames import LiveSource
@@ -101,9 +104,19 @@ def serve(
     camera: Annotated[
         int | None, typer.Option("--camera", min=0, help="UVC camera, both eyes side by side.")
     ] = None,
+    ros2: Annotated[
+        bool, typer.Option("--ros2", help="Topics of a camera's ROS 2 driver.")
+    ] = False,
+    left_topic: Annotated[
+        str | None, typer.Option(help="Image topic of the left eye; default: as drivers name it.")
+    ] = None,
+    right_topic: Annotated[str | None, typer.Option(help="Image topic of the right eye.")] = None,
+    max_skew_ms: Annotated[
+        float, typer.Option(min=0, help="Stamps of a pair of topics are at most so far apart [ms].")
+    ] = 5.0,
     calib: Annotated[
         Path | None,
-        typer.Option("--calib", help="Calibration of the camera; a bag may carry its own."),
+        typer.Option("--calib", help="Calibration of the camera; bags and topics have their own."),
     ] = None,
     out: Annotated[
         Path, typer.Option("--out", help="Folder for the results; a run in it goes on.")
@@ -120,6 +133,7 @@ def serve(
     mqtt: MqttPort = None,
     tcp: TcpPort = None,
     modbus: ModbusPort = None,
+    ros2_out: Ros2Out = False,
     size: Annotated[
         str | None,
         typer.Option(
@@ -189,7 +203,7 @@ def serve(
     from stereo_ore.plant.loop import processing
     from stereo_ore.plant.retention import Retention, parse_limits
     from stereo_ore.plant.sinks.message import Origin, new_session, transform_id
-    from stereo_ore.plant.sinks.settings import load_sinks, open_sinks
+    from stereo_ore.plant.sinks.settings import load_sinks, open_sinks, with_ros2
     from stereo_ore.plant.watch import FolderWatch
     from stereo_ore.runs.driver import Driver
     from stereo_ore.runs.history import Watch
@@ -197,21 +211,24 @@ def serve(
 
     limits = parse_limits(keep or ())
     consumer_settings = load_sinks(sinks, opcua=opcua, mqtt=mqtt, tcp=tcp, modbus=modbus)
+    consumer_settings = with_ros2(consumer_settings) if ros2_out else consumer_settings
     parameters = load_config(config, settings or [])
-    frames, calibration = _open(
-        source,
-        Folder(watch, queue, age is Age.FILES) if watch else None,
-        camera,
-        calib,
-        _size(size),
-        parameters.source.max_pixels,
-    )
+    eye, most = _size(size), parameters.source.max_pixels
+    watched = Folder(watch, queue, age is Age.FILES) if watch else None
+    if ros2:
+        _only_topics(source, watch, camera)
+        frames, calibration = open_live((left_topic, right_topic), max_skew_ms, calib, eye, most)
+    else:
+        frames, calibration = _open(source, watched, camera, calib, eye, most)
     chain = Chain(calibration, load_site(site) if site else None, parameters)
     announce(chain)
     origin = Origin(new_session(), transform_id(chain.site.T_arm_camera))
     consumers = open_sinks(consumer_settings, origin)
+    consumers += topics_out(
+        consumer_settings, live_view(out, chain, valid_for, getattr(frames, "frame_id", ""))
+    )
     inputs = InputFiles(calib, site, config)
-    about = description(frames.name, chain, inputs)
+    about = description(frames.name, chain, inputs, **_own_calibration(ros2, calib, calibration))
     with (
         _alone(watch),
         LiveFolder(
@@ -315,7 +332,23 @@ def _open(
             return open_camera(camera, calibration.image_size), calibration
     if calib is None and source is None:
         raise typer.BadParameter("--calib is needed: only a bag can carry its own calibration")
-    raise typer.BadParameter("give one of SOURCE, --watch and --camera")
+    raise typer.BadParameter("give one of SOURCE, --watch, --camera and --ros2")
+
+
+def _only_topics(*others: object) -> None:
+    if any(other is not None for other in others):
+        raise typer.BadParameter("give one of SOURCE, --watch, --camera and --ros2")
+
+
+def _own_calibration(
+    live: bool, calib: Path | None, calibration: StereoCalibration
+) -> dict[str, str]:
+    """What tells runs of one driver's topics apart whose calibration is theirs."""
+    from stereo_ore.io.calibration import dump
+
+    if not live or calib is not None:
+        return {}
+    return {"calibration_sha256": hashlib.sha256(dump(calibration).encode()).hexdigest()}
 
 
 def _size(text: str | None) -> tuple[int, int] | None:

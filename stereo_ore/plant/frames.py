@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Protocol
 
 from stereo_ore.io.recordings import Source
+from stereo_ore.io.recordings.stamps import Stamp
 from stereo_ore.plant.clock import SYSTEM, Clock
 from stereo_ore.types import StereoPair
 
@@ -32,6 +33,10 @@ class LiveFrame:
         When its files were last written, by their own clock: tells a file whose name is used again.
     skipped : str
         Why it is recorded without being processed; empty for a frame that is to be processed.
+    stamp : Stamp
+        When it was taken, for the record of one that can't be read; its clock may be any.
+    superseded : bool
+        A newer frame is at hand: this one is recorded, and consumers hear nothing of it.
     """
 
     name: str
@@ -44,6 +49,13 @@ class LiveFrame:
     written_ns: int | None = None
     skipped: str = ""
     clock: Clock = SYSTEM
+    stamp: Stamp | None = None
+    superseded: bool = False
+
+    @property
+    def told(self) -> bool:
+        """Whether consumers are to hear of it."""
+        return not (self.skipped or self.superseded)
 
     @property
     def age_s(self) -> float:

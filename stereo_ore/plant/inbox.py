@@ -114,14 +114,13 @@ class Inbox:
         elif not _is_due(folder, now):
             return
         began = time.perf_counter()
-        names = os.listdir(path)
-        folder.listed_s, folder.took_s = now, time.perf_counter() - began
-        visible = {name for name in names if not name.startswith(".")}
-        images = {name for name in visible if name.lower().endswith(IMAGE_SUFFIXES)}
-        folder.folders = sorted(name for name in visible - images if (path / name).is_dir())
-        for gone in folder.handled.keys() - images:
+        names = set(os.listdir(path))
+        visible = {name for name in names - folder.handled.keys() if not name.startswith(".")}
+        folder.new = {name for name in visible if name.lower().endswith(IMAGE_SUFFIXES)}
+        folder.folders = sorted(name for name in visible - folder.new if (path / name).is_dir())
+        for gone in folder.handled.keys() - names:
             del folder.handled[gone]
-        folder.new = images - folder.handled.keys()
+        folder.listed_s, folder.took_s = now, time.perf_counter() - began
 
     def _recheck(self) -> None:
         """Find names among those handled that have got another file."""

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from stereo_ore.chain import no_counts
+from stereo_ore.io.recordings.stamps import Stamp
 from stereo_ore.io.results import Json
 from stereo_ore.plant.frames import LiveFrame, LiveSource
 from stereo_ore.plant.live_folder import LiveFolder
@@ -68,9 +69,9 @@ def serve(
         if folder.gone:
             record = degraded(record, [GONE])
         notes = (DISK_FULL,) if status.disk_fault and not folder.gone else ()
-        if not frame.skipped:
+        if frame.told:
             publisher.publish(record, frame.age_s, notes)
-        status.add(record, None if frame.skipped else frame.age_s)
+        status.add(record, frame.age_s if frame.told else None)
         _tell(record, frame)
         done += 1
         if retention:
@@ -81,9 +82,9 @@ def serve(
 def _skipped(frame: LiveFrame) -> FrameLines:
     """The lines of a frame that is not processed."""
     reason = Reason("OVERTAKEN", frame.skipped)
-    stamp_ns = frame.taken_ns or frame.arrived_ns
-    result = FrameResult(frame.name, frame.index, stamp_ns, "skipped", (reason,), no_counts())
-    return frame_lines(replace(result, stamp_source="arrival"), Site(), ())
+    stamp = frame.stamp or Stamp(frame.taken_ns or frame.arrived_ns, "arrival")
+    result = FrameResult(frame.name, frame.index, stamp.ns, "skipped", (reason,), no_counts())
+    return frame_lines(replace(result, stamp_source=stamp.source), Site(), ())
 
 
 def _noted(lines: FrameLines, frame: LiveFrame) -> FrameLines:
@@ -126,7 +127,7 @@ def processing(driver: Driver, watch: Watch) -> Process:
         def read() -> list[StereoPair]:
             return [replace(frame.read(), name=frame.name)]
 
-        result = driver.detect(frame.name, frame.index, read)
+        result = driver.detect(frame.name, frame.index, read, frame.stamp)
         return watch.judge(driver.finish(result, frame.files))
 
     return process

@@ -12,7 +12,7 @@ from dataclasses import replace
 from types import TracebackType
 from typing import Self
 
-from stereo_ore.plant.sinks.base import SinkState, TargetSink
+from stereo_ore.plant.sinks.base import FrameSink, SinkState, TargetSink
 from stereo_ore.plant.sinks.message import Json, Message, Origin, message, new_session, notice
 
 
@@ -75,7 +75,7 @@ class Publisher:
                 record, self._sequence, self._origin, age_s=age_s, valid_for_s=self.valid_for_s
             )
             made = replace(made, reasons=(*made.reasons, *notes))
-            self._send(made)
+            self._send(made, record, age_s)
             self._changed.notify()
         return made
 
@@ -89,11 +89,14 @@ class Publisher:
         """How each sink is doing."""
         return [sink.state() for sink in self._sinks]
 
-    def _send(self, made: Message) -> None:
+    def _send(self, made: Message, record: Json | None = None, age_s: float = 0.0) -> None:
         self._latest = made
         self._sequence += 1
         for sink in self._sinks:
-            sink.publish(made)
+            if record is not None and isinstance(sink, FrameSink):
+                sink.show(made, record, age_s)
+            else:
+                sink.publish(made)
 
     def _expire(self) -> None:
         with self._changed:

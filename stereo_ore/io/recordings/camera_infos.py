@@ -92,7 +92,7 @@ def _used(bag: Messages, topic: str, images: Sequence[Taken], path: Path) -> Any
     )
     contents = Counter[tuple[bytes, ...]]()
     for number, count in numbers.items():
-        contents[_content(found[number][2])] += count
+        contents[content(found[number][2])] += count
     if len(contents) > 1:
         counts = " and ".join(str(count) for count in contents.values())
         raise CalibrationError(
@@ -104,7 +104,8 @@ def _used(bag: Messages, topic: str, images: Sequence[Taken], path: Path) -> Any
     return found[min(numbers, default=0)][2]
 
 
-def _content(info: Any) -> tuple[bytes, ...]:
+def content(info: Any) -> tuple[bytes, ...]:
+    """What a CameraInfo says of the camera, to be compared."""
     return (
         *(ros_messages.matrix(info, letter).tobytes() for letter in "KDRP"),
         f"{info.width}×{info.height}".encode(),

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from itertools import takewhile
 from pathlib import Path
 
-from stereo_ore.errors import SourceError
+from stereo_ore.errors import CalibrationError, SourceError
 from stereo_ore.io.recordings.names import split_name
+from stereo_ore.types import StereoCalibration
 
 COMPRESSED, DEPTH = "/compressed", "/compressedDepth"
 NUMBERED: tuple[tuple[str, str], ...] = (
@@ -21,14 +23,31 @@ NUMBERED: tuple[tuple[str, str], ...] = (
 """Parts of topics that tell the eyes by numbers, in small letters: RealSense's drivers and
 recorders, camera rigs."""
 
+PREFERRED: tuple[tuple[str, str], ...] = (
+    ("zed-ros2-wrapper", "/left/color/rect/image"),  # from 5.0 on
+    ("zed-ros2-wrapper", "/left/image_rect_color"),
+    ("realsense-ros", "/infra1/image_rect_raw"),
+    ("image_pipeline, depthai-ros", "/left/image_rect"),
+    ("zed-ros2-wrapper", "/left/gray/rect/image"),
+    ("zed-ros2-wrapper", "/left_gray/image_rect_gray"),
+    ("zed-ros2-wrapper", "/left/color/raw/image"),
+    ("zed-ros2-wrapper", "/left_raw/image_raw_color"),
+    ("image_pipeline, depthai-ros", "/left/image_raw"),
+    ("image_pipeline", "/left/image_color"),
+    ("image_pipeline", "/left/image_mono"),
+)
+"""Drivers and the ends of their left eyes' topics, best first: of one camera that offers several
+pairs the first is taken. The images are the same, so that this is no guess."""
+
 
 def choose_topics(
-    topics: Collection[str], wanted: tuple[str, str] | None, path: Path
+    topics: Collection[str], wanted: tuple[str, str] | None, path: Path | str
 ) -> tuple[str, str]:
     """The left and the right image topic: those wanted, or the only two that differ in left and
     right alone.
 
-    Of an image that is there both plain and compressed, the plain one is taken.
+    Of several pairs of one camera that is known the best is taken (`PREFERRED`); of an image that
+    is there both plain and compressed, the plain one.
 
     Raises
     ------
@@ -52,6 +71,7 @@ def choose_topics(
         for pair in pairs
         if (_plain(pair[0]), _plain(pair[1])) not in pairs or _plain(pair[0]) == pair[0]
     ]
+    pairs = _preferred(pairs)
     if len(pairs) != 1:
         found = f"has {len(pairs)} pairs of left and right image topics"
         choices = " or ".join(f"--left-topic {left} --right-topic {right}" for left, right in pairs)
@@ -62,14 +82,13 @@ def choose_topics(
 
 def camera_info_topics(image_topic: str) -> tuple[str, ...]:
     """Where the calibration of an image topic may be: beside it, beside the image that it is made
-    of, in ``info``.
+    of, in ``info``, below it.
     """
     parent = _plain(image_topic).rpartition("/")[0]
     above = parent.rpartition("/")[0]
     recorded = image_topic.partition("/image/data")[0] + "/info"
-    return tuple(
-        f"{place}/camera_info" for place in (parent, above, recorded) if place.count("/") > 0
-    )
+    places = (parent, above, recorded, _plain(image_topic))
+    return tuple(f"{place}/camera_info" for place in places if place.count("/") > 0)
 
 
 def is_rectified(image_topic: str) -> bool:
@@ -78,6 +97,19 @@ def is_rectified(image_topic: str) -> bool:
     """
     parts = _plain(image_topic).split("/")
     return "rect" in parts[-1] or "rect" in parts or "rectified" in parts
+
+
+def check_images(image_topic: str, calibration: StereoCalibration, file: Path) -> None:
+    """CalibrationError when a calibration of raw images is to be used for a topic of rectified
+    ones, which would be rectified twice.
+    """
+    if is_rectified(image_topic) and calibration.images == "raw":
+        raise CalibrationError(
+            f"is for raw images, {image_topic} has rectified ones",
+            file=file,
+            key="images",
+            remedy="Name the topics of the raw images with --left-topic and --right-topic",
+        )
 
 
 def _pairs(topics: Collection[str]) -> list[tuple[str, str]]:
@@ -92,6 +124,21 @@ def _pairs(topics: Collection[str]) -> list[tuple[str, str]]:
         for key, topic in sides["left"].items()
         if key in sides["right"]
     ]
+
+
+def _preferred(pairs: list[tuple[str, str]]) -> list[tuple[str, str]]:
+    """The best of several pairs of one camera; all of them where that can't be told."""
+    if len({_camera(pair) for pair in pairs}) == 1:
+        for _, end in PREFERRED:
+            if best := [pair for pair in pairs if _plain(pair[0]).endswith(end)]:
+                return best
+    return pairs
+
+
+def _camera(pair: tuple[str, str]) -> str:
+    """What comes before the part of the topics that tells the eyes."""
+    parts = zip(pair[0].split("/"), pair[1].split("/"), strict=True)
+    return "/".join(left for left, _ in takewhile(lambda part: part[0] == part[1], parts))
 
 
 def _split(part: str) -> tuple[str | None, str]:

@@ -8,9 +8,9 @@ import threading
 from collections import deque
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Protocol, Self, runtime_checkable
 
-from stereo_ore.plant.sinks.message import Message
+from stereo_ore.plant.sinks.message import Json, Message
 
 OUTBOX_SIZE = 64
 """Messages kept for a consumer that is slow or away; the oldest goes first, and is counted."""
@@ -55,6 +55,17 @@ class TargetSink(Protocol):
 
     def state(self) -> SinkState:
         """What to show the operator."""
+        ...
+
+
+@runtime_checkable
+class FrameSink(TargetSink, Protocol):
+    """A sink that shows more of a frame than its targets."""
+
+    def show(self, message: Message, record: Json, age_s: float) -> None:
+        """Take the message of a frame with its record, `age_s` after it arrived [s]; as `publish`,
+        in its place.
+        """
         ...
 
 

@@ -64,6 +64,18 @@ class ModbusSettings(_Section):
     clients: tuple[IPvAnyNetwork, ...] = ()
 
 
+class Ros2Settings(_Section):
+    """Topics of ROS 2, which knows neither users nor encryption: they stay on this machine unless
+    ROS's own variables say otherwise.
+
+    Without `camera_frame` it is called as the driver's images call it.
+    """
+
+    namespace: str = Field("stereo_ore", pattern=r"^/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*$")
+    camera_frame: str | None = Field(None, pattern=r"^[A-Za-z_][\w/]*$")
+    arm_frame: str = Field("arm_base_link", pattern=r"^[A-Za-z_][\w/]*$")
+
+
 class SinksSettings(_Section):
     """All consumers; a section that is not given is off."""
 
@@ -73,6 +85,7 @@ class SinksSettings(_Section):
     mqtt: MqttSettings | None = None
     tcp: TcpSettings | None = None
     modbus: ModbusSettings | None = None
+    ros2: Ros2Settings | None = None
 
 
 def load_sinks(path: Path | None, **ports: int | None) -> SinksSettings:
@@ -93,6 +106,15 @@ def load_sinks(path: Path | None, **ports: int | None) -> SinksSettings:
     settings = _resolve(settings, path.parent if path else Path())
     _check_addresses(settings, origin)
     return settings
+
+
+def with_ros2(settings: SinksSettings) -> SinksSettings:
+    """The same consumers and topics of ROS 2, as the file has them or as they are by default."""
+    return (
+        settings
+        if settings.ros2
+        else settings.model_copy(update={"ros2": Ros2Settings.model_validate({})})
+    )
 
 
 def is_loopback(host: str) -> bool:

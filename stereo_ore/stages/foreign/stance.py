@@ -25,13 +25,15 @@ LONG, LONG_WIDTH = 2.5, 1.5
 """From this ratio of length to width on a part is long, and so many widths are its size."""
 FEWEST, FEWEST_AROUND = 20, 15
 """Pixels that a part, and what is known around it, must have."""
-LEAST_GAP, LEAST_SIZE = 1.2, 0.12
-"""Height over what is around, and size, that a part must have [openings]: a clump of wrong matches
-is small, too."""
+LEAST_STANCE, LEAST_SIZE = 2.0, 0.12
+"""Height over what is around in openings, times that in the part's own widths, and size [openings]:
+a clump of wrong matches is small, too, and low."""
 AROUND = 0.7
 """Width of the ring around a part, in openings."""
 HIGH_QUANTILE, LOW_QUANTILE = 75, 5
 """Percentiles of heights: what lies around a part, and its lowest point."""
+BRIDGED = 5
+"""Pixels without a depth that part no body."""
 THICKER = 1.4
 """Radius of the rod about a part's axis that belongs to it, over what its own points have."""
 
@@ -100,8 +102,10 @@ def _stands_alone(grid: _Grid, part: Mask, opening_m: float, config: ForeignConf
     around = max(0.0, float(np.percentile(grid.height[near], HIGH_QUANTILE)))
     gap = float(np.percentile(grid.height[part], LOW_QUANTILE)) - around
     size = _size(grid, part)
-    least, most = LEAST_SIZE * opening_m, gap / config.min_stance
-    return gap > LEAST_GAP * opening_m and least < size < most
+    if gap <= 0 or size < LEAST_SIZE * opening_m:
+        return False
+    in_widths = gap / size
+    return in_widths > config.min_stance and in_widths * gap / opening_m > LEAST_STANCE
 
 
 def _size(grid: _Grid, part: Mask) -> float:
@@ -138,18 +142,27 @@ def _whole(grid: _Grid, part: Mask) -> Mask:
     with np.errstate(invalid="ignore"):
         across = np.sqrt(np.maximum(np.einsum("hwi,hwi->hw", rest, rest) - reach**2, 0))
         rod = (across < radius) & (grid.height > np.float32(radius))
-    # Of the rod only what hangs together with the part.
-    labels = cv2.connectedComponents((rod | part).astype(np.uint8), connectivity=8)[1]
-    return np.asarray(np.isin(labels, np.unique(labels[part])))
+    # Of the rod only what hangs together with the part, or nearly so.
+    whole = rod | part
+    labels = _nearly_connected(whole)[1]
+    return np.asarray(whole & np.isin(labels, np.unique(labels[part])))
 
 
 def _largest_first(found: Mask) -> I32:
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(
-        found.astype(np.uint8), connectivity=8
-    )
+    count, labels = _nearly_connected(found)
+    sizes = np.bincount(labels[found], minlength=count)
     number = np.zeros(count, np.int32)
-    number[1 + np.argsort(-stats[1:, cv2.CC_STAT_AREA], kind="stable")] = np.arange(1, count)
-    return np.asarray(number[labels], np.int32)
+    number[1 + np.argsort(-sizes[1:], kind="stable")] = np.arange(1, count)
+    return np.where(found, number[labels], 0).astype(np.int32)
+
+
+def _nearly_connected(mask: Mask) -> tuple[int, I32]:
+    """Number of labels and labels of a mask whose parts are one when less than `BRIDGED` pixels
+    are between them.
+    """
+    wide = cv2.dilate(mask.astype(np.uint8), np.ones((BRIDGED, BRIDGED), np.uint8))
+    count, labels = cv2.connectedComponents(wide, connectivity=8)
+    return count, np.asarray(labels, np.int32)
 
 
 def _full(labels: I32, surface: Surface, step: int) -> I32:
