@@ -192,6 +192,8 @@ class Chain:
     def _segment(self, disparity: Disparity, surface: Surface, screen: Grizzly) -> OreMap:
         if self.empty is not None:
             surface = empty_screen.new_on(self.empty, disparity, surface)
+        if self.site.volume is None:
+            surface = grizzly.over(surface, screen, self.config.grizzly)
         volume, config = self.site.volume, self.config.segment
         return segment.segment(disparity, surface, screen, volume, config, self.lumps)
 

@@ -5,6 +5,7 @@ import subprocess
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
@@ -76,6 +77,18 @@ def test_a_background_stands_for_the_plane() -> None:
     other = replace(site, plane=None, background=Path("empty.npz"))
     assert list(missing_in_site(other)) == []
     assert [reason.code for reason in missing_in_site(Site())] == list(LACKING.values())
+
+
+def test_without_a_volume_frame_and_floor_are_no_ore() -> None:
+    scene = SCENE.parent / "large_02"
+    (pair,) = so.open_recording(scene)
+    frame = so.Detector(calibration.load(scene / "calibration.yaml"))(pair).frame
+    with np.load(scene / "gt.npz") as truth:
+        lump = truth["instance_left"] >= 2
+    assert frame.ore_map is not None
+    labels = frame.ore_map.labels
+    assert len(frame.ores) >= 9
+    assert [ore.id for ore in frame.ores if lump[labels == ore.id].mean() < 0.5] == []
 
 
 def test_the_demo_without_a_site_gives_ores_and_names_all_keys(tmp_path: Path) -> None:

@@ -13,13 +13,13 @@ from stereo_ore.config import GrizzlyConfig
 from stereo_ore.errors import FrameError
 from stereo_ore.stages.grizzly.bars import BarFit, fit_bars
 from stereo_ore.stages.grizzly.edges import sharpened
-from stereo_ore.stages.grizzly.extent import extent
+from stereo_ore.stages.grizzly.extent import extent, over
 from stereo_ore.stages.grizzly.plane import candidate_planes, refine, residual
 from stereo_ore.stages.grizzly.registration import corrected, plane_of, register
 from stereo_ore.stages.grizzly.sample import Sample, draw_sample, tolerances
 from stereo_ore.types import Grizzly, Plane, Site, Surface
 
-__all__ = ["corrected", "extent", "find", "plane_of", "register"]
+__all__ = ["corrected", "extent", "find", "over", "plane_of", "register"]
 
 MIN_POINTS = 200
 CLEAR_CONTRAST = 0.25

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -58,6 +58,28 @@ def extent(surface: Surface, screen: Grizzly, config: GrizzlyConfig) -> Extent |
     low, high = (end(np.argwhere(part), 0) + first for end in (np.min, np.max))
     # Cells are centred on bars across them, and begin at their floor along them.
     return Extent((low - np.array([0.5, 0])) * side, (high + np.array([0.5, 1])) * side)
+
+
+def over(surface: Surface, screen: Grizzly, config: GrizzlyConfig) -> Surface:
+    """The surface without what lies beside the screen: frame, floor, walls and what stands there.
+
+    For sites without a working volume. Nothing is taken away where no bars are known.
+    """
+    reach, bars = extent(surface, screen, config), screen.bars
+    if reach is None or bars is None:
+        return surface
+    # The outermost cells are half frame.
+    margin = np.array([0.5 * (bars.pitch_m - bars.width_m), 0.0])
+    beside = ~np.isfinite(surface.xyz[..., 2])
+    coordinates = (
+        surface.xyz @ bars.across.astype(np.float32) - np.float32(bars.phase_m),
+        surface.xyz @ bars.direction.astype(np.float32),
+    )
+    ends = zip(coordinates, reach.low + margin, reach.high - margin, strict=True)
+    with np.errstate(invalid="ignore"):
+        for coordinate, low, high in ends:
+            beside |= (coordinate < low) | (coordinate > high)
+    return replace(surface, xyz=np.where(beside[..., None], np.float32(np.nan), surface.xyz))
 
 
 def _cut_into_bars(cell: np.ndarray, on_bar: Mask, signal: F64) -> Mask:

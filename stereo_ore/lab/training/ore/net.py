@@ -48,6 +48,12 @@ class LumpNet(nn.Module):  # type: ignore[misc]
         self.side = nn.ModuleList(_block(b, a) for a, b in pairwise(widths))
         self.up = nn.ModuleList(_block(a, a) for a in widths[:-1])
         self.out = nn.Conv2d(widths[0], 4 * len(OUTPUTS), 3, 1, 1)
+        # Depth to space as a transposed convolution: OpenCV 4.10 takes it at any size.
+        one = torch.eye(4).reshape(4, 1, 2, 2)
+        spread = torch.zeros(4 * len(OUTPUTS), len(OUTPUTS), 2, 2)
+        for k in range(len(OUTPUTS)):
+            spread[4 * k : 4 * k + 4, k : k + 1] = one
+        self.register_buffer("spread", spread, persistent=False)
 
     def forward(self, x: Any) -> Any:
         """Outputs of a batch."""
@@ -59,7 +65,7 @@ class LumpNet(nn.Module):  # type: ignore[misc]
         for i in reversed(range(len(self.up))):
             wider = functional.interpolate(self.side[i](x), scale_factor=2, mode="nearest")
             x = self.up[i](wider + skips[i])
-        return functional.pixel_shuffle(self.out(x), 2)
+        return functional.conv_transpose2d(self.out(x), self.spread, stride=2)
 
 
 def loss_of(y: Any, t: Any) -> Any:
@@ -97,17 +103,16 @@ def outputs_of(net: nn.Module, x: F32) -> F32:
 
 
 def export(net: nn.Module, path: Path) -> None:
-    """Write the network as one ONNX file, sides free; batch norms fold into the convolutions."""
+    """Write the network as one ONNX file; batch norms fold into the convolutions.
+
+    Its sides are written as fixed: OpenCV takes any all the same, and in 4.10 no free ones.
+    """
     net = net.eval().to(memory_format=torch.contiguous_format)
     x = torch.zeros(1, len(CHANNELS), 256, 320)
-    sides = {
-        2: torch.export.Dim("h16", min=2, max=256) * 16,
-        3: torch.export.Dim("w16", min=2, max=256) * 16,
-    }
     with warnings.catch_warnings():
         # The exporter warns of what its own libraries are about to change.
         warnings.simplefilter("ignore")
         torch.onnx.export(
-            net, (x,), str(path), opset_version=18, external_data=False, dynamic_shapes=(sides,),
+            net, (x,), str(path), opset_version=18, external_data=False,
             input_names=["channels"], output_names=["lumps"], verbose=False,
         )  # fmt: skip
