@@ -310,11 +310,11 @@ def test_the_way_to_a_static_transform_is_told(served: Served) -> None:
 
 def test_a_replay_publishes_the_same_and_withdraws_it_at_the_end(served: Served) -> None:
     topics = ("targets", "cloud", "/diagnostics")
-    with (
-        listener(*topics) as heard,
-        process(*COMMAND, "replay", served.out, "--rate", 1, "--valid-for", 0.5, "--ros2-out"),
-    ):
-        wait_for(lambda: any("stopped" in line for line in heard.lines), WAIT_S, "the end")
+    command = [*COMMAND, "replay", served.out, "--rate", 0.5, "--valid-for", 2, "--ros2-out"]
+    with listener(*topics) as heard:
+        heard.wait_line('"up"')
+        with process(*command):
+            wait_for(lambda: any("stopped" in line for line in heard.lines), WAIT_S, "the end")
         messages = heard.json()
     clouds = {m["stamp"]: m["data"] for m in messages if m["topic"] == "cloud"}
     # Of clouds that follow each other at once a listener may get the last alone.
