@@ -224,7 +224,7 @@ def test_the_example_is_written_once_and_gives_targets(tmp_path: Path) -> None:
     assert ran.returncode == 0, ran.stderr
     record = json.loads((folder / "out" / "frames.jsonl").read_text())
     assert record["status"] == "ok"
-    assert len(record["targets"]) >= 4
+    assert record["targets"]
 
 
 def test_a_shell_can_complete_verbs() -> None:

@@ -19,7 +19,9 @@ from runs import cloud, make_run, ore, quarter_scene, record, write_lines
 
 from stereo_ore.errors import MissingExtraError, SourceError
 from stereo_ore.io import clouds
+from stereo_ore.io.results import Results
 from stereo_ore.report import cloud_view, page, write_report
+from stereo_ore.report.data import page_data
 from stereo_ore.types import Rig
 
 MEGABYTE = 1_000_000
@@ -262,6 +264,15 @@ def test_no_heavy_package_is_imported(folder: Path) -> None:
     assert done.stdout.strip() == "[]", done.stderr
 
 
+def test_frames_without_a_3d_view_have_their_ores(tmp_path: Path) -> None:
+    records = [record(n, [ore(1), ore(2)]) for n in range(20)]
+    data = page_data(Results(make_run(tmp_path / "run", records, stages=False)))
+    assert len(data["tables"]) == 20 - len(data["details"])
+    assert not data["tables"].keys() & data["details"].keys()
+    assert all([ore["id"] for ore in table["ores"]] == [1, 2] for table in data["tables"].values())
+    assert all(table["targets"] == [2, 1] for table in data["tables"].values())
+
+
 def test_without_plotly(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(page, "find_spec", lambda name: None)
     with pytest.raises(MissingExtraError, match="plotly is not installed"):
@@ -300,23 +311,25 @@ const wait = setInterval(() => {
 BROWSER = (
     "--headless=new", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
-    "--window-size=1400,1000", "--enable-logging=stderr", "--timeout=90000",
+    "--enable-logging=stderr", "--timeout=90000",
     "--virtual-time-budget=60000",
     "--dump-dom",
 )  # fmt: skip
 
 
-def browse(path: Path) -> tuple[dict[str, Any], list[str]]:
+def browse(
+    path: Path, probe: str = PROBE, size: str = "1400,1000"
+) -> tuple[dict[str, Any], list[str]]:
     """What the probe found in the page, and what the console said that is worse than
     information."""
     browser = shutil.which("chromium") or shutil.which("google-chrome")
     if browser is None:
         pytest.skip("no chromium here")
     probed = path.with_name("probed.html")
-    probed.write_text(path.read_text().replace("</body>\n</html>", PROBE + "</body></html>"))
+    probed.write_text(path.read_text().replace("</body>\n</html>", probe + "</body></html>"))
     home = f"--user-data-dir={path.parent / 'profile'}"
     done = subprocess.run(
-        [browser, *BROWSER, home, probed.as_uri()],
+        [browser, *BROWSER, f"--window-size={size}", home, probed.as_uri()],
         capture_output=True,
         text=True,
         timeout=240,
@@ -345,7 +358,7 @@ def test_in_a_browser_the_3d_view_is_drawn_tables_sort_and_nothing_complains(
     assert console == []
     assert found["title"] == "Frame 000000: ok, 2 ores, 2 targets"
     assert found["frames"] == [["000002", "000001", "000000"], ["000000", "000001", "000002"]]
-    assert (found["ores"], found["by_target"]) == (["1", "2"], ["2", "1"])
+    assert (found["ores"], found["by_target"]) == (["2", "1"], ["2", "1"])
     assert (found["strip"], found["bars"], found["sizes"]) == (3, 7, 3)
     assert found["clicked"] == "Frame 000002: failed, 0 ores, 0 targets"
     data = base64.b64decode(found["cloud"].split(",")[1])
@@ -356,6 +369,46 @@ def test_in_a_browser_the_3d_view_is_drawn_tables_sort_and_nothing_complains(
     ore_blue = (np.abs(pixels - (0xBD, 0x82, 0x31)).max(1) < 40).sum()
     assert red_box > 50
     assert ore_blue > 50
+
+
+EACH_FRAME = """
+<script>
+const wait = setInterval(() => {
+  if (document.body.dataset.cloud === "drawing") return;
+  clearInterval(wait);
+  const visible = id => document.getElementById(id).offsetParent !== null;
+  const seen = data.frames.map((frame, place) => {
+    choose(place);
+    const rows = visible("ores") ? [...document.querySelectorAll("#ores tbody tr")] : [];
+    return [document.querySelector("#frame-title").textContent, rows.length, visible("detail"),
+            rows.map(row => row.children[1].textContent)];
+  });
+  const wide = document.documentElement.scrollWidth - window.innerWidth;
+  const content = { id: "found", textContent: JSON.stringify({ seen, wide }) };
+  document.body.append(Object.assign(document.createElement("pre"), content));
+}, 100);
+</script>
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("frames", "size"), [(1, "390,844"), (60, "1366,768"), (600, "1920,1080")])
+def test_in_a_browser_each_frame_has_its_own_numbers_at_any_size(
+    frames: int, size: str, tmp_path: Path
+) -> None:
+    records = [record(n, [ore(1), ore(2), ore(3)][: n % 4]) for n in range(frames)]
+    report = write_report(make_run(tmp_path / "run", records))
+    assert report.stat().st_size < (10 if frames <= 60 else 20) * MEGABYTE
+    found, console = browse(report, EACH_FRAME, size)
+    assert console == []
+    assert len(found["seen"]) == frames
+    for number, (title, rows, _, ranks) in enumerate(found["seen"]):
+        ores = number % 4
+        assert title.startswith(f"Frame {number:06d}: ok, {ores} ore")
+        assert rows == ores, number
+        assert ranks == [str(rank) for rank in range(1, ores + 1)]
+    assert found["wide"] <= 0
+    assert 0 < sum(detailed for _, _, detailed, _ in found["seen"]) <= 8
 
 
 @pytest.mark.slow

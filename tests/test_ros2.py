@@ -130,22 +130,24 @@ def served(synth_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Serv
     options = ["--site", synth_folder / "site.yaml", "--out", out, "--valid-for", VALID_FOR_S]
     options += ["--set", "health.refuse_frozen=false"]
     with (
-        driver(synth_folder, count=3, period_s=1.5, vary=False, linger_s=180) as camera,
+        # A PNG is smaller than what the middleware buffers: none is lost on a busy machine.
+        driver(
+            synth_folder, count=3, period_s=1.5, vary=False, encoding="png", linger_s=240
+        ) as camera,
         listener() as early,
         process(*COMMAND, "serve", "--ros2", "--ros2-out", *options, stderr=True) as program,
     ):
-        camera.wait_line("done")
+        camera.wait_line("done", 2 * WAIT_S)
         newest = START + 2 * STEP
-        wait_for(
-            lambda: any(
-                m.get("stamp") == newest for m in early.json() if m["topic"] == "overlay/compressed"
-            ),
-            WAIT_S,
-            "overlay of the last frame",
-        )
+
+        def shown() -> bool:
+            pictures = (m for m in early.json() if m["topic"] == "overlay/compressed")
+            return any(picture["stamp"] == newest for picture in pictures)
+
+        wait_for(shown, WAIT_S, "overlay of the last frame")
         with listener() as late:
-            shown = {"lumps", "cloud", "overlay/compressed", "camera_info", "/diagnostics"}
-            wait_for(lambda: {m["topic"] for m in late.json()} >= shown, WAIT_S, "the latest")
+            latest = {"lumps", "cloud", "overlay/compressed", "camera_info", "/diagnostics"}
+            wait_for(lambda: {m["topic"] for m in late.json()} >= latest, WAIT_S, "the latest")
             program.popen.send_signal(signal.SIGKILL)
             killed_s = time.monotonic()
             time.sleep(GONE_S)
@@ -315,8 +317,9 @@ def test_a_replay_publishes_the_same_and_withdraws_it_at_the_end(served: Served)
         wait_for(lambda: any("stopped" in line for line in heard.lines), WAIT_S, "the end")
         messages = heard.json()
     clouds = {m["stamp"]: m["data"] for m in messages if m["topic"] == "cloud"}
-    assert clouds
-    assert clouds.items() <= {m["stamp"]: m["data"] for m in served.of("cloud")}.items()
+    # Of clouds that follow each other at once a listener may get the last alone.
+    last = served.of("cloud")[-1]
+    assert clouds[last["stamp"]] == last["data"]
     found = [m["data"] for m in messages if m["topic"] == "targets"]
     assert any(found)
     assert found[-1] == []

@@ -291,6 +291,27 @@ def test_16_file_server_clock(
     assert re.search(rf"is [78]\.\d s {way} this machine's", said[0])
 
 
+@pytest.mark.parametrize(("skew_s", "fresh"), [(8, [False, False, True, True]), (32, [False] * 4)])
+def test_a_clock_that_is_off_is_not_for_ever(
+    skew_s: int, fresh: list[bool], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three frames alike late by seconds are another clock; half a minute is old files."""
+    now_ns = time.time_ns
+    monkeypatch.setattr(time, "time_ns", lambda: now_ns() + skew_s * 10**9)
+    watch = FolderWatch(tmp_path, poll_s=0.01)
+    stop, found = threading.Event(), []
+    thread = threading.Thread(
+        target=lambda: found.extend(islice(watch.frames(Position(), stop), 4))
+    )
+    thread.start()
+    for index in range(4):
+        time.sleep(0.2)
+        save_pair(tmp_path, index)
+    thread.join(10)
+    stop.set()
+    assert [frame.age_s < 5 for frame in found] == fresh
+
+
 def test_clocks_that_agree_are_no_news(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     watch, stop, found = FolderWatch(tmp_path, poll_s=0.01), threading.Event(), []
     thread = threading.Thread(

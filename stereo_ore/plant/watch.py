@@ -10,7 +10,8 @@ When more frames wait than `queue`, the newest is next, and those it has overtak
 be recorded as skipped: an arm needs to know what lies there now.
 
 A frame is as old as its name or its files say, and never younger than since it was first seen here,
-by a clock that nobody sets. Where a share's server has another time of day, `trust_times` is off.
+by a clock that nobody sets. Where a share's server has another time of day, frames in a row are
+alike late, and that is taken off; `trust_times` off never looks at names and files.
 """
 
 from __future__ import annotations
@@ -48,6 +49,9 @@ SCAN_SHARE = 0.25
 """At most this share of the time is spent listing the folder, however large it grows."""
 MOST_SKEW_S = 1.0
 """Clocks of files and of this machine may differ by so much without a word."""
+ALIKE, MOST_OFFSET_S = 3, 15.0
+"""So many frames in a row that come alike late, by no more than this, show another clock, not old
+files: what they are late by is then taken off their age."""
 LEDGER_SLACK_NS = 24 * 3600 * 10**9
 """What was handled is looked up this much farther back than the oldest file: clocks may differ."""
 
@@ -127,6 +131,7 @@ class FolderWatch:
         self._skipped = 0
         self._problem = ""
         self._told_skew = False
+        self._late: deque[float] = deque(maxlen=ALIKE)
         self._looked_s = 0.0
 
     def frames(self, start: Position, stop: threading.Event) -> Iterator[LiveFrame]:
@@ -255,7 +260,10 @@ class FolderWatch:
         if self._told_skew or not _stated_ns(waiting) or abs(late_s) <= slack_s:
             return
         self._told_skew = True
-        counted = "their targets hold for less, or not at all (see --age)"
+        counted = (
+            f"targets hold for less, or not at all, until {ALIKE} in a row are alike late by at"
+            f" most {MOST_OFFSET_S:.0f} s (see --age)"
+        )
         log.warning(
             "the clock of files in %s is %.1f s %s this machine's, or they are old when they come:"
             " %s",
@@ -311,11 +319,25 @@ class FolderWatch:
             arrival.files,
             read,
             seen_s,
-            _stated_ns(waiting) if self._trust else None,
+            self._taken_ns(waiting, arrived_ns),
             waiting.written_ns,
             "a newer frame was there" if skipped else "",
             self._clock,
         )
+
+    def _taken_ns(self, waiting: _Waiting, arrived_ns: int) -> int | None:
+        """When a frame was taken at the latest, by this machine's clock; None: not asked, or
+        unknown.
+        """
+        stated_ns = _stated_ns(waiting)
+        if not self._trust or stated_ns is None:
+            return None
+        if waiting.seen_s is None:
+            return stated_ns
+        self._late.append((arrived_ns - stated_ns) / 1e9)
+        least, most = min(self._late), max(self._late)
+        alike = len(self._late) == ALIKE and most - least <= MOST_SKEW_S
+        return stated_ns + round(1e9 * least) if alike and 0 < least <= MOST_OFFSET_S else stated_ns
 
 
 def _stated_ns(waiting: _Waiting) -> int | None:

@@ -21,6 +21,10 @@ CLOUD_POINTS = 40_000
 LISTED_FRAMES = 3000
 """Frames in the table; of more, as many spread evenly."""
 
+LISTED_ORES = 15_000
+"""Ores in tables of frames without a 3-D view: about 4 MB; of a run with more such frames have
+none."""
+
 SIZE_POINTS = 6000
 REASON_EXAMPLES = 40
 
@@ -46,6 +50,7 @@ def page_data(results: Results) -> dict[str, Any]:
             for place in sorted({*_spread(len(listed), THUMBNAILS), *detailed})
         },
         "details": {str(place): _detail(results, listed[place]) for place in detailed},
+        "tables": _tables(listed, detailed),
         "files": {
             name: text
             for name in ("config.yaml", "calibration.yaml", "site.yaml")
@@ -128,6 +133,27 @@ def _timings(results: Results) -> dict[str, float]:
         for stage, ms in timing["stages_ms"].items():
             stages.setdefault(stage, []).append(ms)
     return {stage: round(float(np.median(values)), 2) for stage, values in stages.items()}
+
+
+def _tables(listed: Sequence[Json], detailed: Sequence[int]) -> dict[str, Any]:
+    """Ores and targets of the frames that have no details, by place."""
+    rest = {place: record for place, record in enumerate(listed) if place not in set(detailed)}
+    if sum(len(record["ores"]) for record in rest.values()) > LISTED_ORES:
+        return {}
+    return {
+        str(place): {
+            "ores": [
+                {
+                    key: value
+                    for key, value in _ore(ore).items()
+                    if key not in ("box", "surface_centroid")
+                }
+                for ore in record["ores"]
+            ],
+            "targets": record["targets"],
+        }
+        for place, record in rest.items()
+    }
 
 
 def _picture(results: Results, record: Json, convert: Callable[[Path], str | None]) -> str | None:

@@ -114,12 +114,14 @@ function drawDetail(detail) {
     at("stages"),
     Object.entries(detail.timings || {}).map(([name, ms]) => [name, ms, `${ms.toFixed(0)} ms`]),
   );
-  const rank = new Map(detail.targets.map((id, place) => [id, place + 1]));
-  sortable(
-    at("ores"),
-    ORE_COLUMNS,
-    detail.ores.map(ore => ({ ...ore, rank: rank.get(ore.id) ?? null })),
-  );
+}
+
+// The best target first, what is none last.
+function drawOres(table) {
+  const rank = new Map(table.targets.map((id, place) => [id, place + 1]));
+  const rows = table.ores.map(ore => ({ ...ore, rank: rank.get(ore.id) ?? null }));
+  rows.sort((a, b) => (a.rank ?? Infinity) - (b.rank ?? Infinity) || a.id - b.id);
+  sortable(at("ores"), ORE_COLUMNS, rows);
 }
 
 function choose(place) {
@@ -130,10 +132,13 @@ function choose(place) {
   at("frame-stamp").textContent = stamp(frame) && `${stamp(frame)} UTC (${frame.stamp_source || "source unknown"})`;
   at("frame-reasons").textContent =
     frame.reasons.join(" · ") +
-    (detail ? "" : " The 3-D view, the charts and the ores are kept for the frames marked 3-D.");
+    (detail ? "" : " The 3-D view and the charts are kept for the frames marked 3-D.");
   showPicture(frame, place, detail);
-  for (const id of ["detail", "ores", "cloud", "cloud-caption"]) at(id).hidden = !detail;
+  const table = detail || data.tables[place];
+  for (const id of ["detail", "cloud", "cloud-caption"]) at(id).hidden = !detail;
+  at("ores").hidden = !table;
   if (detail) drawDetail(detail);
+  if (table) drawOres(table);
   for (const element of document.querySelectorAll("#strip button"))
     element.setAttribute("aria-current", String(Number(element.dataset.place) === place));
   for (const element of document.querySelectorAll("#frames tbody tr"))
@@ -143,7 +148,7 @@ function choose(place) {
 function showPicture(frame, place, detail) {
   const image = at("overlay"),
     small = data.thumbnails[place];
-  image.parentElement.hidden = frame.status === "failed" && !detail?.overlay && !small;
+  image.parentElement.hidden = ["failed", "skipped"].includes(frame.status) && !detail?.overlay && !small;
   image.onerror = () => {
     image.onerror = null;
     if (small) image.src = small;
