@@ -53,9 +53,9 @@ from stereo_ore.types import (
 
 COUNTS = ("pixels", "disparities", "points", "voxels", "kept", "ores", "targets")
 
-NOTHING = foreign.Foreign(np.zeros((0, 0), np.bool_), np.zeros((0, 3)))
+_NOTHING = foreign.Foreign(np.zeros((0, 0), np.bool_), np.zeros((0, 3)))
 
-Value = TypeVar("Value")
+_Value = TypeVar("_Value")
 
 
 class Chain:
@@ -84,8 +84,8 @@ class Chain:
         self.rig = self.rectifier.rig
         self.region = matching.find_region(self.rig, self.site.volume, self.config.matching)
         filters.parameters(self.config.filter)
-        self.lumps = segment.load(self.config.models.lumps)
-        self.empty = empty_screen.load(self.rig, self.region, self.site, self.config)
+        self.lumps = segment.load_lump_model(self.config.models.lumps)
+        self.empty = empty_screen.load_empty_screen(self.rig, self.region, self.site, self.config)
         self.withheld = tuple(health.missing_in_site(self.site))
 
     def __call__(self, pair: StereoPair, *more: StereoPair) -> FrameResult:
@@ -117,7 +117,7 @@ class Chain:
         kept = filtered.keep[grid.inverse]
         surface = cloud.surface(points, kept, eyes, disparity.region)
         alien = foreign.places(surface, site.keep_out)
-        surface = trace.reached("surface", foreign.without(surface, alien))
+        surface = trace.reached("surface", foreign.without_foreign(surface, alien))
         screen = trace.reached("grizzly", replace(self._screen(surface), registration=moved))
         trace.check(health.bar_doubts, moved, screen.opening_m, config.health)
         if screen.source != "auto":
@@ -125,11 +125,11 @@ class Chain:
         parts = health.judge_parts(disparity, self.rig, screen)
         trace.check(health.row_doubts, parts, config.health)
         opening_m = screen.opening_m or config.segment.default_opening_m
-        alien = foreign.find(surface, screen, opening_m, alien, config.foreign)
+        alien = foreign.find_foreign(surface, screen, opening_m, alien, config.foreign)
         trace.reached("foreign", alien)
         too_much = alien.found_share > config.foreign.max_share
-        trace.remark(foreign.doubts(alien), withhold=too_much)
-        surface = foreign.without(surface, alien)
+        trace.remark(foreign.foreign_doubts(alien), withhold=too_much)
+        surface = foreign.without_foreign(surface, alien)
         ore_map = foreign.cleared(self._segment(disparity, surface, screen), alien, surface)
         trace.reached("segment", ore_map)
         solids = trace.reached("solids", solid.solids(surface, ore_map, screen, config.solid))
@@ -139,7 +139,7 @@ class Chain:
         )
         plans = foreign.clear_of(plans, alien, opening_m, config.foreign)
         targets = order.order(solids, plans, site, config.order)
-        found = ores.describe(
+        found = ores.describe_ores(
             surface,
             ore_map,
             solids,
@@ -227,7 +227,7 @@ class Trace:
         self._fault: FrameError | None = None
         self._mark = time.perf_counter()
 
-    def reached(self, stage: str, value: Value) -> Value:
+    def reached(self, stage: str, value: _Value) -> _Value:
         """Note that a stage is done, and pass its value on."""
         self._reached[stage] = value
         self._lap(stage)
@@ -294,7 +294,7 @@ class Trace:
             surface=get("surface"),
             grizzly=get("grizzly"),
             ore_map=get("segment"),
-            foreign=get("foreign", NOTHING).bodies,
+            foreign=get("foreign", _NOTHING).bodies,
             ores=found,
             targets=targets,
             stages_ms=self._stages_ms,

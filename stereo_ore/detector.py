@@ -23,14 +23,14 @@ from stereo_ore.io.site import load_site
 from stereo_ore.result import Result
 from stereo_ore.runs.identity import InputFiles
 from stereo_ore.runs.run import RunOptions
-from stereo_ore.runs.run import run as run_frames
+from stereo_ore.runs.run import run_recording as run_frames
 from stereo_ore.stages import filters
 from stereo_ore.types import F32, Mask, Rig, Site, StereoCalibration, StereoPair, centred_cloud
 
 if TYPE_CHECKING:
     from typing import Self
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 AnyPath = str | PathLike[str]
 
@@ -153,7 +153,7 @@ class Recording:
             try:
                 yield self.source.read(index)
             except FrameError as error:
-                log.warning("frame %s is left out: %s", self.source.names[index], error)
+                _log.warning("frame %s is left out: %s", self.source.names[index], error)
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ SMALL = 2**18
 threads of its own, which cost far more."""
 
 
-WIDE = 512
+_WIDE = 512
 """Columns of such a product, likewise."""
 
 
@@ -56,7 +56,7 @@ class Network:
         out, last = np.array(self.output_weights, np.float32), np.float32(self.output_bias)
         features = np.stack([np.ravel(image) for image in images])
         logit = np.empty(features.shape[1], np.float32)
-        for few in chunks(len(logit), WIDE):
+        for few in chunks(len(logit), _WIDE):
             hidden = weights @ features[:, few]
             hidden += bias[:, None]
             np.dot(out, np.maximum(hidden, 0, out=hidden), out=logit[few])

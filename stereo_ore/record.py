@@ -7,7 +7,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable
-from typing import Any
 
 import numpy.typing as npt
 
@@ -16,6 +15,7 @@ from stereo_ore.types import (
     ForeignBody,
     FrameResult,
     Grizzly,
+    Json,
     Ore,
     Reason,
     Registration,
@@ -28,8 +28,6 @@ SCHEMA = "stereo_ore/frame/2"
 DECIMALS = 6
 """Metres are written to the micrometre: finer digits are noise, and would differ between
 machines."""
-
-Json = dict[str, Any]
 
 
 def record(result: FrameResult, site: Site) -> Json:
@@ -66,7 +64,7 @@ def number(value: float) -> float | None:
     return round(float(value), DECIMALS) + 0.0 if math.isfinite(value) else None
 
 
-def numbers(values: npt.ArrayLike | Iterable[float]) -> list[float | None]:
+def _numbers(values: npt.ArrayLike | Iterable[float]) -> list[float | None]:
     """Rounded numbers of a vector."""
     return [number(value) for value in values]  # type: ignore[union-attr,arg-type]
 
@@ -81,7 +79,7 @@ def _grizzly(grizzly: Grizzly | None) -> Json | None:
     rms = None if grizzly.rms_m is None else number(grizzly.rms_m)
     plane = grizzly.plane
     return {
-        "normal": numbers(plane.normal),
+        "normal": _numbers(plane.normal),
         "offset_m": number(plane.offset),
         "source": grizzly.source,
         "rms_m": rms,
@@ -99,7 +97,7 @@ def _registration(moved: Registration | None) -> Json | None:
         "offset_m": number(moved.offset_m),
         "tilt_deg": number(math.degrees(moved.tilt_rad)),
         "worst_m": number(moved.worst_m),
-        "field_px": numbers(moved.field_px),
+        "field_px": _numbers(moved.field_px),
     }
 
 
@@ -115,8 +113,8 @@ def _foreign(body: ForeignBody) -> Json:
 
 def _in_frames(part: Ore | Solid | Strike, vector: str) -> Json:
     """A vector of a lump in the camera's and, where it is known, the arm's frame."""
-    arm = None if part.arm is None else numbers(getattr(part.arm, vector))
-    return {"camera": numbers(getattr(part, vector)), "arm": arm}
+    arm = None if part.arm is None else _numbers(getattr(part.arm, vector))
+    return {"camera": _numbers(getattr(part, vector)), "arm": arm}
 
 
 def _ore(ore: Ore) -> Json:
@@ -144,16 +142,16 @@ def _solid(solid: Solid | None) -> Json:
         keys = ("centre_of_gravity", "volume_m3", "volume_bounds_m3", "size_m", "box", "oversize")
         return dict.fromkeys(keys)
     centre = _in_frames(solid, "centre_of_gravity")
-    centre |= {"sigma_m": numbers(solid.sigma_m), "method": solid.method}
-    axes = [numbers(axis) for axis in solid.axes]
+    centre |= {"sigma_m": _numbers(solid.sigma_m), "method": solid.method}
+    axes = [_numbers(axis) for axis in solid.axes]
     return {
         "centre_of_gravity": centre,
         "volume_m3": number(solid.volume_m3),
-        "volume_bounds_m3": numbers(solid.volume_bounds_m3),
-        "size_m": numbers(solid.size_m),
+        "volume_bounds_m3": _numbers(solid.volume_bounds_m3),
+        "size_m": _numbers(solid.size_m),
         "box": {
-            "camera": {"centre": numbers(solid.box_centre), "axes": axes},
-            "extent_m": numbers(solid.extent_m),
+            "camera": {"centre": _numbers(solid.box_centre), "axes": axes},
+            "extent_m": _numbers(solid.extent_m),
         },
         "oversize": solid.oversize,
     }

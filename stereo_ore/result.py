@@ -15,9 +15,9 @@ from stereo_ore.draw import overlay
 from stereo_ore.draw.images import encode_png
 from stereo_ore.errors import OutputError
 from stereo_ore.io.atomic import write_bytes
-from stereo_ore.record import Json, record
+from stereo_ore.record import record
 from stereo_ore.runs.frame_files import cloud_table
-from stereo_ore.types import U8, FrameResult, Grizzly, Ore, Reason, Site, Status
+from stereo_ore.types import U8, FrameResult, Grizzly, Json, Ore, Reason, Site, Status
 
 if TYPE_CHECKING:
     from open3d.geometry import PointCloud
@@ -96,7 +96,7 @@ class Result:
         OutputError
             When the frame has no image.
         """
-        image = overlay.draw(self.frame)
+        image = overlay.draw_overlay(self.frame)
         if image is None:
             problem = f"frame {self.name} has no image to draw on: {self._why()}"
             raise OutputError(problem)

@@ -18,7 +18,7 @@ CHUNK = 4096
 cache."""
 
 Scalar = TypeVar("Scalar", bound=np.generic)
-Result = TypeVar("Result")
+_Result = TypeVar("_Result")
 
 
 def pool() -> ThreadPoolExecutor:
@@ -56,7 +56,7 @@ def map_rows(function: Callable[[slice], npt.NDArray[Scalar]], length: int) -> n
     return out
 
 
-def each_chunk(function: Callable[[slice], Result], length: int) -> list[Result]:
+def each_chunk(function: Callable[[slice], _Result], length: int) -> list[_Result]:
     """What `function` gives for consecutive chunks of rows, computed by all threads."""
     return list(pool().map(function, chunks(length)))
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+_Array = npt.NDArray[np.float64]
 
 
-def apply(T_target_source: Array, xyz: npt.ArrayLike) -> Array:
+def transform_points(T_target_source: _Array, xyz: npt.ArrayLike) -> _Array:
     """Points of the source frame in the target frame.
 
     Parameters
@@ -21,12 +21,12 @@ def apply(T_target_source: Array, xyz: npt.ArrayLike) -> Array:
     return rotate(T_target_source, xyz) + T_target_source[:3, 3]
 
 
-def rotate(T_target_source: Array, vectors: npt.ArrayLike) -> Array:
+def rotate(T_target_source: _Array, vectors: npt.ArrayLike) -> _Array:
     """Directions of the source frame in the target frame; the translation does not act on them."""
     return np.asarray(vectors, dtype=np.float64) @ T_target_source[:3, :3].T
 
 
-def inverse(T_target_source: Array) -> Array:
+def inverse(T_target_source: _Array) -> _Array:
     """``T_source_target`` of a rigid transform: [Rᵀ, −Rᵀt]."""
     R = T_target_source[:3, :3]
     T = np.eye(4)
@@ -35,7 +35,7 @@ def inverse(T_target_source: Array) -> Array:
     return T
 
 
-def rotation_fault(R: Array, tolerance: float = 1e-4) -> str | None:
+def rotation_fault(R: _Array, tolerance: float = 1e-4) -> str | None:
     """Why a (3, 3) matrix is not a rotation, or None when it is one."""
     if not np.isfinite(R).all():
         return "has entries that are not finite"
@@ -46,13 +46,13 @@ def rotation_fault(R: Array, tolerance: float = 1e-4) -> str | None:
     return None
 
 
-def nearest_rotation(M: Array) -> Array:
+def nearest_rotation(M: _Array) -> _Array:
     """The rotation nearest to a (3, 3) matrix."""
     U, _, Vt = np.linalg.svd(M)
     return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt, np.float64)
 
 
-def frame_from_normal(normal: Array, towards: Array) -> Array:
+def frame_from_normal(normal: _Array, towards: _Array) -> _Array:
     """Right-handed axes as rows: x along ``towards`` projected into the plane, z along ``normal``.
 
     Parameters

@@ -121,3 +121,38 @@ def breaches(graph: Imports) -> list[str]:
             ):
                 found.append(f"{module}, which is no verb of the laboratory, imports {other}")
     return found
+
+
+OF_LIKE_MODULES = frozenset(("read", "write", "register", "recognises"))
+"""Functions that each module of a table has: formats of files, verbs of the command."""
+
+
+def public_names(tree: ast.Module) -> Iterator[str]:
+    """Names that a module defines itself, and does not mark as its own by an underscore."""
+    for node in tree.body:
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+            found = [node.name]
+        elif isinstance(node, (ast.Assign, ast.AnnAssign)):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            found = [n.id for t in targets for n in ast.walk(t) if isinstance(n, ast.Name)]
+        else:
+            continue
+        yield from (name for name in found if not name.startswith("_"))
+
+
+def defined_twice(package: Path = PACKAGE) -> dict[str, list[str]]:
+    """Public names and the modules that define them, where there are several.
+
+    Verbs of the command line don't count: nobody imports them.
+    """
+    found: dict[str, list[str]] = {}
+    for file in sorted(package.rglob("*.py")):
+        module = module_name(file, package)
+        if wing(module) != "cli":
+            for name in public_names(ast.parse(file.read_text(encoding="utf-8"))):
+                found.setdefault(name, []).append(module)
+    return {
+        name: modules
+        for name, modules in found.items()
+        if len(modules) > 1 and name not in OF_LIKE_MODULES
+    }

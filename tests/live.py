@@ -22,7 +22,7 @@ from stereo_ore.plant.live_folder import LiveFolder
 from stereo_ore.plant.loop import serve
 from stereo_ore.plant.publisher import Publisher
 from stereo_ore.plant.sinks.message import Message, Origin, message
-from stereo_ore.plant.status import Status
+from stereo_ore.plant.status import PlantStatus
 from stereo_ore.plant.watch import FolderWatch
 from stereo_ore.runs.folder import FrameLines
 
@@ -154,7 +154,7 @@ def running(
     stop = threading.Event()
     with LiveFolder(out, {"source": source.name}) as folder:
         with Publisher(sinks, valid_for_s) as publisher:
-            status = Status(source, publisher, lambda: folder.alarm)
+            status = PlantStatus(source, publisher, lambda: folder.alarm)
             arguments = (
                 source,
                 lambda frame: lines_of(frame, **record),

@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 from stereo_ore.calibrate.detect import Board
 from stereo_ore.errors import CalibrationError
 from stereo_ore.io.calibration.geometry import make_calibration
-from stereo_ore.io.calibration.zed import SIZES
+from stereo_ore.io.calibration.zed import ZED_SIZES
 from stereo_ore.stages.rectify import make_rectifier, rectification
-from stereo_ore.transforms import apply
+from stereo_ore.transforms import transform_points
 from stereo_ore.types import F64, U8, CameraModel, StereoCalibration
 
 SIZE = (1280, 720)
@@ -114,7 +114,7 @@ def write_zed(
     suffix: bool = True,
     left_out: tuple[str, ...] = (),
 ) -> Path:
-    assert rig.image_size == SIZES[mode]
+    assert rig.image_size == ZED_SIZES[mode]
     lines = []
     for name, eye in (("LEFT", rig.left), ("RIGHT", rig.right)):
         values = dict(zip(("k1", "k2", "p1", "p2", "k3"), eye.distortion, strict=True))
@@ -276,5 +276,5 @@ def rendered(board: Board, T_camera_board: F64) -> tuple[U8, F64]:
         borderMode=cv2.BORDER_CONSTANT,
         borderValue=150,
     )
-    seen = apply(T_camera_board, board.points) @ K_SMALL.T
+    seen = transform_points(T_camera_board, board.points) @ K_SMALL.T
     return cv2.GaussianBlur(page, (0, 0), 0.7), seen[:, :2] / seen[:, 2:]

@@ -81,6 +81,15 @@ def test_each_rule_sees_a_breach(tmp_path: Path) -> None:
     ]
 
 
+def test_no_public_name_is_defined_twice(tmp_path: Path) -> None:
+    """A word that a reader looks up leads to one place."""
+    assert architecture.defined_twice() == {}
+    planted(tmp_path, io__site="LIMIT = 1\n_OWN = 2", stages__cloud="class LIMIT: ...\n_OWN = 3")
+    assert architecture.defined_twice(tmp_path / "stereo_ore") == {
+        "LIMIT": ["stereo_ore.io.site", "stereo_ore.stages.cloud"]
+    }
+
+
 def test_only_the_command_line_exits_and_prints() -> None:
     offenders = []
     for file in PACKAGE.rglob("*.py"):

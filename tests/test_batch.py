@@ -98,7 +98,7 @@ def indices(lines: Iterator[batch.FrameLines]) -> list[int]:
 
 
 def test_lines_come_in_order_and_after_their_files(job: batch.Job) -> None:
-    for entry in batch.run(job, range(0, 12, 3)):
+    for entry in batch.run_in_batches(job, range(0, 12, 3)):
         assert json.loads(entry.record)["index"] in job.driver.files.done
     assert job.driver.files.done == [0, 3, 6, 9]
     assert [index for index, _ in job.source.calls] == [0, 3, 6, 9]
@@ -111,13 +111,13 @@ def test_reading_and_writing_cost_no_time_of_their_own(job: batch.Job) -> None:
     [slow(index) for index in range(12)]
     one_by_one = time.perf_counter() - start
     start = time.perf_counter()
-    assert indices(batch.run(slow, range(12))) == list(range(12))
+    assert indices(batch.run_in_batches(slow, range(12))) == list(range(12))
     assert time.perf_counter() - start < 0.7 * one_by_one
 
 
 def test_what_waits_is_bounded() -> None:
     slow = made(files=FakeFiles(seconds=0.05))
-    lines = batch.run(slow, range(12))
+    lines = batch.run_in_batches(slow, range(12))
     next(lines)
     assert len(slow.source.calls) <= batch.WRITES_AHEAD + 1 + ahead.FRAMES_AHEAD
     lines.close()
@@ -127,7 +127,7 @@ def test_what_waits_is_bounded() -> None:
 
 
 def test_a_frame_that_cannot_be_read_fails_alone(job: batch.Job) -> None:
-    assert indices(batch.run(made(Fake(broken=(1, 4))), range(6))) == [0, 1, 2, 3, 4, 5]
+    assert indices(batch.run_in_batches(made(Fake(broken=(1, 4))), range(6))) == [0, 1, 2, 3, 4, 5]
 
 
 def test_a_strict_job_gives_the_frames_before(job: batch.Job) -> None:
@@ -135,7 +135,7 @@ def test_a_strict_job_gives_the_frames_before(job: batch.Job) -> None:
     with pytest.raises(FrameError, match="frame 000004 failed: 4: is broken"):
         found.extend(
             json.loads(entry.record)["index"]
-            for entry in batch.run(made(Fake(broken=(4,)), strict=True), range(8))
+            for entry in batch.run_in_batches(made(Fake(broken=(4,)), strict=True), range(8))
         )
     assert found == [0, 1, 2, 3]
 
@@ -143,7 +143,9 @@ def test_a_strict_job_gives_the_frames_before(job: batch.Job) -> None:
 def test_a_full_disk_ends_the_run_at_its_frame(job: batch.Job) -> None:
     full, found = made(files=FakeFiles(broken=(3,))), []
     with pytest.raises(OutputError, match="000003: disk full"):
-        found.extend(json.loads(entry.record)["index"] for entry in batch.run(full, range(8)))
+        found.extend(
+            json.loads(entry.record)["index"] for entry in batch.run_in_batches(full, range(8))
+        )
     assert found == [0, 1, 2]
 
 

@@ -17,7 +17,7 @@ from stereo_ore.lab.bench import fault_images, fault_scenes, fault_setup, faults
 
 @pytest.fixture(scope="module")
 def planted(synth_scene: synth.Scene) -> fault_scenes.Planted:
-    return fault_scenes.made(synth_scene)
+    return fault_scenes.made_scenes(synth_scene)
 
 
 def record_of(strike: np.ndarray, depth: float) -> dict[str, Any]:
@@ -41,7 +41,7 @@ def test_a_strike_off_each_lump_is_wrong(
 
 def test_a_row_counts_frames_with_wrong_targets_and_sound_ones_that_are_lost() -> None:
     ok = {"status": "ok", "reasons": [], "targets": [1, 2]}
-    row = faults.Row("drop")
+    row = faults.FaultRow("drop")
     assert row.add(ok, 0) is None
     assert "2 of 2" in (row.add(ok, 2) or "")
     assert (row.frames, row.targets, row.wrong, row.wrong_ok_frames, row.failed) == (
@@ -51,17 +51,19 @@ def test_a_row_counts_frames_with_wrong_targets_and_sound_ones_that_are_lost() -
         1,
         True,
     )
-    lost = faults.Row(faults.SOUND)
+    lost = faults.FaultRow(faults.SOUND)
     lost.add({"status": "degraded", "reasons": [{"code": "TOO_DARK"}], "targets": []}, 0)
     assert lost.failed
-    assert "| drop | 2 | 2 |" in faults.markdown([row])
+    assert "| drop | 2 | 2 |" in faults.faults_markdown([row])
 
 
 @pytest.mark.parametrize("name", fault_images.EDITS)
 def test_an_edit_changes_the_last_frame_only_and_always_alike(
     name: str, planted: fault_scenes.Planted
 ) -> None:
-    one, again = (fault_images.plant(fault_images.EDITS[name], planted, 3) for _ in range(2))
+    one, again = (
+        fault_images.plant_in_images(fault_images.EDITS[name], planted, 3) for _ in range(2)
+    )
     assert np.array_equal(one.frames[1].left, again.frames[1].left)
     assert np.array_equal(one.frames[1].right, again.frames[1].right)
     sound = fault_scenes.exposed(planted.case.frames[-1], 300)
@@ -86,7 +88,7 @@ def test_what_is_planted_in_a_made_up_scene_leaves_no_wrong_target(
     planted: fault_scenes.Planted,
 ) -> None:
     only = r"^none|baseline -2|offset \+0.4|band slipped -8|wobble 3"
-    found = dict(faults.plant(planted, Config(), only, seed=1))
+    found = dict(faults.plant_fault(planted, Config(), only, seed=1))
     assert found["none"]["status"] == "ok"
     assert len(found["none"]["targets"]) > 0
     assert {name: planted.wrong_targets(record) for name, record in found.items()} == dict.fromkeys(
@@ -117,4 +119,4 @@ def test_raw_images_are_not_edited(planted: fault_scenes.Planted) -> None:
         planted,
         case=replace(planted.case, calibration=replace(planted.case.calibration, images="raw")),
     )
-    assert [name for name, _ in faults.plant(raw, Config(), only="slipped|wobble")] == []
+    assert [name for name, _ in faults.plant_fault(raw, Config(), only="slipped|wobble")] == []

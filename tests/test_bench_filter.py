@@ -39,7 +39,7 @@ def plane_with_outliers() -> LabelledCloud:
 def test_a_tuned_contender_shows_its_best_setting() -> None:
     labelled = plane_with_outliers()
     contender = Contender("statistical", "statistical", ({"k": 10}, {"k": 20}), (0.01, 1.0, 50.0))
-    row = bench.judge(labelled, contender)
+    row = bench.judge_filter(labelled, contender)
     assert row.f1 > 0.95
     assert "1.0" in row.setting
     assert row.noise_share == pytest.approx(30 / 930)
@@ -49,7 +49,7 @@ def test_a_tuned_contender_shows_its_best_setting() -> None:
 
 
 def test_means_and_summary() -> None:
-    rows = bench.judge_all([plane_with_outliers()] * 2,
+    rows = bench.judge_filters([plane_with_outliers()] * 2,
     [Contender("statistical", "statistical", thresholds=(1.0,)),
                                                          Contender("adaptive",
                                                          "none")])  # fmt: skip
@@ -100,7 +100,7 @@ def test_points_that_can_not_be_judged_count_for_nothing() -> None:
     spoilt = dataclasses.replace(
         labelled, is_noise=labelled.is_noise ^ (np.arange(930) < 300), judged=np.arange(930) >= 300
     )
-    row = bench.judge(spoilt, contender)
+    row = bench.judge_filter(spoilt, contender)
     assert row.points == 630
     assert row.f1 > 0.95
 

@@ -24,7 +24,7 @@ STAGES = [
 
 @pytest.fixture(scope="module")
 def cost(synth_folder: Path) -> speed.FrameCost:
-    return speed.measure("VGA", speed.make_scene(synth_folder, "VGA"), True, rounds=2)
+    return speed.measure_speed("VGA", speed.make_scene(synth_folder, "VGA"), True, rounds=2)
 
 
 def test_a_frame_is_the_sum_of_its_stages(cost: speed.FrameCost) -> None:
@@ -90,7 +90,7 @@ def test_where_the_system_does_not_tell_memory_is_not_measured(
 
 
 def test_filters_grow_and_the_slow_ones_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    rows = growth.measure([500, 5000], limit_s=1000)
+    rows = growth.measure_growth([500, 5000], limit_s=1000)
     assert [(row.filter, row.points) for row in rows] == [
         (name, n) for n in (500, 5000) for name in growth.FILTERS
     ]
@@ -100,9 +100,9 @@ def test_filters_grow_and_the_slow_ones_are_left_out(monkeypatch: pytest.MonkeyP
         "_in_own_process",
         lambda n, names: {f: GrowthRow(f, n, n / 1000, 1.0) for f in names},
     )
-    rows = growth.measure([1_000_000, 10_000_000], limit_s=12_000)
+    rows = growth.measure_growth([1_000_000, 10_000_000], limit_s=12_000)
     assert [row.filter for row in rows if row.seconds is None] == [growth.LOF]
-    rows = growth.measure([1_000_000, 10_000_000], limit_s=11_000)
+    rows = growth.measure_growth([1_000_000, 10_000_000], limit_s=11_000)
     assert [row.points for row in rows if row.seconds is None] == [10_000_000] * len(growth.FILTERS)
 
 
@@ -120,7 +120,7 @@ def test_tables_hold_every_figure(cost: speed.FrameCost) -> None:
     rows = [GrowthRow("a", 10_000, 1.0, 5.0), GrowthRow("b", 10_000, 2.0, None)]
     rows += [GrowthRow("a", 100_000, 12.5, 6.0), GrowthRow("b", 100_000, None, None)]
     machine = {"cores": 2, "processor": "x", "opencv": "5", "load": 0.1}
-    text = speed_tables.markdown([cost, cost], rows, machine)
+    text = speed_tables.speed_markdown([cost, cost], rows, machine)
     assert "| ms | VGA, site | VGA, site |" in text
     assert "| status | ok | ok |" in text
     for stage in STAGES[:-1]:
@@ -128,14 +128,14 @@ def test_tables_hold_every_figure(cost: speed.FrameCost) -> None:
     assert f"**{cost.frame_ratio['3WAY']:.2f}**" in text
     assert "| 100,000 | 12.5 (6) | – |" in text
     assert "| 10,000 → 100,000 | 1.00 | – |" in text
-    assert speed_tables.markdown([], rows[:2], machine).count("**") == 2
+    assert speed_tables.speed_markdown([], rows[:2], machine).count("**") == 2
 
 
 def test_the_picture_is_drawn(cost: speed.FrameCost, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     for frames in ([], [cost, cost]):
         path = tmp_path / f"{len(frames)}.png"
-        speed_tables.draw(
+        speed_tables.draw_speed(
             frames, [GrowthRow("a", 10, 1.0, 5.0), GrowthRow("a", 100, None, None)], path
         )
         assert path.stat().st_size > 10_000

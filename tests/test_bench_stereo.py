@@ -105,7 +105,7 @@ def test_figures_are_those_of_hand_made_errors(flat_plane_pair) -> None:
     assert both.bad2_found == pytest.approx(20)
     assert both.median == pytest.approx(0.3, abs=1e-5)
     assert both.bias == pytest.approx(0.1, abs=1e-5)
-    assert "| x | m | 88.9 |" in stereo.markdown([everything, both])
+    assert "| x | m | 88.9 |" in stereo.stereo_markdown([everything, both])
 
 
 def test_the_command_writes_both_forms(
@@ -148,7 +148,7 @@ def test_real_pairs_have_fewer_bad_pixels_than_opencvs_matchers(
 def test_ore_of_path_traced_scenes_is_measured_to_a_tenth_of_a_pixel(
     name: str, wrong: float, median: float, shared_data: Path
 ) -> None:
-    data = stereo_sets.traced(shared_data / "scenes_dev" / name)
+    data = stereo_sets.traced_sets(shared_data / "scenes_dev" / name)
     assert data.ore is not None
     error = (stereo.ours(data) - data.truth)[data.ore]
     assert 100 * np.isfinite(error).mean() >= 98
@@ -188,7 +188,9 @@ def test_a_peer_counts_at_its_best_setting_for_each_measure() -> None:
     assert (one.setting, one.won, two.setting, two.won) == ("x", 1, "y", 1)
     assert one.difference == pytest.approx(0, abs=1e-9)
     assert two.difference == pytest.approx(0.5)
-    assert "| HH (x) | bad-1 | +0.00 | 1 of 2 | 0.900 (0.900) |" in equal_density.markdown(rows)
+    assert "| HH (x) | bad-1 | +0.00 | 1 of 2 | 0.900 (0.900) |" in equal_density.density_markdown(
+        rows
+    )
 
 
 @pytest.mark.slow

@@ -9,12 +9,18 @@ import numpy as np
 import pytest
 from rigs import SIZE, SMALL, example_rig, rectified_to_raw, rendered, rendered_pair
 
-from stereo_ore.calibrate.board import BoardView, calibrate_stereo, draw_coverage, find_view, report
+from stereo_ore.calibrate.board import (
+    BoardView,
+    board_report,
+    calibrate_stereo,
+    draw_coverage,
+    find_view,
+)
 from stereo_ore.calibrate.detect import Board, Corners, find_corners, plane_residual
 from stereo_ore.errors import CalibrationError
 from stereo_ore.io.calibration import load
 from stereo_ore.io.calibration.geometry import from_vector
-from stereo_ore.transforms import apply
+from stereo_ore.transforms import transform_points
 from stereo_ore.types import F64
 
 BOARD = Board(9, 6, 0.04)
@@ -33,7 +39,7 @@ def simulated(count: int, noise_px: float, seed: int = 0) -> list[BoardView]:
     rng = np.random.default_rng(seed)
     views: list[BoardView] = []
     for T in poses(40 * count, seed):
-        eyes = rectified_to_raw(example_rig(), apply(T, BOARD.points))
+        eyes = rectified_to_raw(example_rig(), transform_points(T, BOARD.points))
         if all(((px > 0) & (px < SIZE)).all() for px in eyes) and len(views) < count:
             noisy = [px + rng.normal(0, noise_px, px.shape) for px in eyes]
             left, right = (Corners(np.arange(len(px), dtype=np.int32), px) for px in noisy)
@@ -67,7 +73,7 @@ def test_a_view_that_moved_between_the_eyes_is_dropped_by_name() -> None:
     result = calibrate_stereo(views, BOARD, SIZE)
     assert [view.name for view in result.views if not view.used] == ["view 4"]
     assert "moving" in result.views[4].reason
-    assert "view 4" in report(result)
+    assert "view 4" in board_report(result)
     assert result.rms_px < 0.2
 
 

@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from rigs import SIZE, example_rig, raw_rigs, rectified_rig, same
 
 from stereo_ore.calibrate.convert import convert_zed
-from stereo_ore.calibrate.show import describe, draw, field_of_view
+from stereo_ore.calibrate.show import describe_calibration, draw_calibration, field_of_view
 from stereo_ore.errors import CalibrationError
 from stereo_ore.io.calibration import check_image_size, dump, load, save
 from stereo_ore.io.calibration.geometry import rotation_matrix, rotation_vector
@@ -201,7 +201,7 @@ def test_conversion_is_refused_where_no_rule_exists() -> None:
 
 
 def test_what_show_prints_follows_from_the_geometry() -> None:
-    text = describe(rectified_rig())
+    text = describe_calibration(rectified_rig())
     assert "120.000 mm" in text
     assert f"{530 * 0.12 / 4:.1f} px" in text
     assert f"{1000 * 16 / (530 * 0.12):.1f} mm" in text
@@ -212,7 +212,7 @@ def test_what_show_prints_follows_from_the_geometry() -> None:
 @pytest.mark.parametrize("rig", [example_rig(), rectified_rig()], ids=["raw", "rectified"])
 def test_show_draws_a_picture(tmp_path: Path, rig) -> None:
     pytest.importorskip("matplotlib")
-    draw(rig, tmp_path / "camera.png")
+    draw_calibration(rig, tmp_path / "camera.png")
     assert (tmp_path / "camera.png").read_bytes().startswith(b"\x89PNG")
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from rigs import SIZE, example_rig, raw_rigs, same, write_kalibr, write_opencv, write_ros, write_zed
 
 from stereo_ore.errors import CalibrationError
-from stereo_ore.io.calibration import FORMATS, load, save
+from stereo_ore.io.calibration import CALIBRATION_FORMATS, load, save
 from stereo_ore.stages.rectify import make_rectifier
 
 MANY = settings(
@@ -358,7 +358,9 @@ def test_formats_are_told_apart_by_content_alone(tmp_path: Path) -> None:
     save(example_rig(), tmp_path / "native")
     for name in ("zed", "opencv", "ros", "kalibr", "middlebury", "native"):
         text = (tmp_path / name).read_text()
-        assert [other for other, module in FORMATS.items() if module.recognises(text)] == [name]
+        assert [
+            other for other, module in CALIBRATION_FORMATS.items() if module.recognises(text)
+        ] == [name]
 
 
 WRITERS = {

@@ -13,7 +13,7 @@ import yaml
 from rigs import SIZE, example_rig, same, write_opencv, write_ros
 
 from stereo_ore.errors import CalibrationError
-from stereo_ore.io.calibration import FORMATS, load, save
+from stereo_ore.io.calibration import CALIBRATION_FORMATS, load, save
 from stereo_ore.io.calibration.formats import tell_unread
 from stereo_ore.io.calibration.geometry import rotation_vector
 from stereo_ore.stages.rectify import make_rectifier
@@ -313,7 +313,7 @@ def test_no_reader_drops_one_unknown_lens_entry(
 
 
 def test_every_reader_is_asked() -> None:
-    assert LINES.keys() | {"colmap"} == FORMATS.keys(), "COLMAP's entries have no names"
+    assert LINES.keys() | {"colmap"} == CALIBRATION_FORMATS.keys(), "COLMAP's entries have no names"
 
 
 @pytest.mark.parametrize(

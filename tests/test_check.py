@@ -13,7 +13,7 @@ from rigs import example_rig, rectified_rig, rectified_to_raw, with_rotation
 
 from stereo_ore.calibrate.check import (
     CheckResult,
-    Known,
+    KnownPoint,
     Matches,
     Measured,
     check_matches,
@@ -21,7 +21,7 @@ from stereo_ore.calibrate.check import (
     offset_findings,
     patch_disparity,
 )
-from stereo_ore.calibrate.check_report import draw, report
+from stereo_ore.calibrate.check_report import check_report, draw_check
 from stereo_ore.calibrate.points import rectify_points, triangulate
 from stereo_ore.calibrate.residual import (
     RowResidual,
@@ -212,7 +212,7 @@ def test_swapped_rectified_eyes_lie_behind_the_camera(flat_plane_pair) -> None:
 
 
 @pytest.fixture
-def plane_rig(flat_plane_pair) -> tuple[StereoPair, StereoCalibration, list[Known]]:
+def plane_rig(flat_plane_pair) -> tuple[StereoPair, StereoCalibration, list[KnownPoint]]:
     """The plane's pair, its calibration and three points with their true straight distances."""
     pair = flat_plane_pair.pair
     eye = CameraModel((pair.rig.fx, pair.rig.fy), (pair.rig.cx, pair.rig.cy))
@@ -223,7 +223,7 @@ def plane_rig(flat_plane_pair) -> tuple[StereoPair, StereoCalibration, list[Know
     known = []
     for u, v in ((60, 30), (240, 160), (440, 290)):
         at = pair.rig.back_project(u, v, flat_plane_pair.depth[v, u])
-        known.append(Known(u, v, float(np.linalg.norm(at))))
+        known.append(KnownPoint(u, v, float(np.linalg.norm(at))))
     return StereoPair(pair.left, pair.right, name="x", index=0), rig, known
 
 
@@ -285,7 +285,7 @@ def test_what_is_not_known_is_not_printed_as_nan(eyes: str, plane_rig) -> None:
         "swapped": (pair.right, pair.left),
     }[eyes]
     measured = known if eyes == "one picture" else ()
-    text = report(check_pair(replace(pair, left=left, right=right), rig, measured))
+    text = check_report(check_pair(replace(pair, left=left, right=right), rig, measured))
     assert not re.search(r"\b(nan|inf)\b", text), text
 
 
@@ -302,7 +302,9 @@ def test_a_wrong_baseline_is_told_from_an_offset(
     scale: float, constant: float, code: str | None
 ) -> None:
     measured = [
-        Measured(Known(0, 0, 64 / expected), scale * expected + constant, expected, float("nan"))
+        Measured(
+            KnownPoint(0, 0, 64 / expected), scale * expected + constant, expected, float("nan")
+        )
         for expected in (16.0, 32.0, 64.0)
     ]
     assert [finding.code for finding in offset_findings(measured)] == ([code] if code else [])
@@ -323,15 +325,15 @@ def test_an_image_without_features_is_unclear() -> None:
         "unclear",
         ["FEW_MATCHES"],
     )
-    assert "verdict: unclear" in report(result)
+    assert "verdict: unclear" in check_report(result)
 
 
 def test_report_and_picture(plane_rig, tmp_path: Path) -> None:
     pair, rig, known = plane_rig
     result = check_pair(pair, rig, known)
-    assert "verdict: good" in report(result)
-    assert f"known {known[0].distance_m:.3f} m" in report(result)
-    draw(result, pair.left, tmp_path / "check.png")
+    assert "verdict: good" in check_report(result)
+    assert f"known {known[0].distance_m:.3f} m" in check_report(result)
+    draw_check(result, pair.left, tmp_path / "check.png")
     assert cv2.imread(str(tmp_path / "check.png")).shape == pair.left.shape
 
 

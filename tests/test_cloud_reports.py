@@ -359,7 +359,7 @@ def test_las_there_and_back(suffix: str, tmp_path: Path) -> None:
         clouds.read(path)
 
 
-@pytest.mark.parametrize("suffix", list(clouds.FORMATS))
+@pytest.mark.parametrize("suffix", list(clouds.CLOUD_FORMATS))
 def test_an_odd_column_is_kept_or_told(
     suffix: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -115,11 +115,11 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 def test_a_worker_dies_and_nothing_is_lost_nor_double(scene: Path, tmp_path: Path) -> None:
     recording = record(scene, tmp_path / "recording", 10)
-    expected = list(batch.run(make_job(scene, recording, tmp_path / "one"), range(10)))
+    expected = list(batch.run_in_batches(make_job(scene, recording, tmp_path / "one"), range(10)))
     job, found = make_job(scene, recording, tmp_path / "many"), []
     with dask(tmp_path, workers=2) as (address, workers):
         listening = ports()
-        for lines in cluster.run(job, range(10), address):
+        for lines in cluster.run_on_cluster(job, range(10), address):
             if not found:
                 assert ports() == listening
                 done = len(list((tmp_path / "many" / "overlays").glob("*.png")))
@@ -217,15 +217,15 @@ def test_a_cluster_without_workers_or_none_at_all(
     monkeypatch.setattr(cluster, "CONNECT_S", 1)
     monkeypatch.setattr(cluster, "WORKERS_S", 1)
     with pytest.raises(ClusterError, match=r"tcp://127.0.0.1:9: can't be reached.*dask scheduler"):
-        list(cluster.run(job, range(1), "tcp://127.0.0.1:9"))
+        list(cluster.run_on_cluster(job, range(1), "tcp://127.0.0.1:9"))
     with pytest.raises(ClusterError, match=r"nonsense://x: can't be reached"):
-        list(cluster.run(job, range(1), "nonsense://x"))
+        list(cluster.run_on_cluster(job, range(1), "nonsense://x"))
     with (
         dask(tmp_path, workers=0) as (address, _),
         pytest.raises(ClusterError, match=f"dask worker {address}"),
     ):
-        list(cluster.run(job, range(1), address))
-    assert list(cluster.run(job, range(0), "nobody is asked")) == []
+        list(cluster.run_on_cluster(job, range(1), address))
+    assert list(cluster.run_on_cluster(job, range(0), "nobody is asked")) == []
     assert list((tmp_path / "out").glob(".job*")) == []
 
 

@@ -68,7 +68,7 @@ def run(recording: Path, model: Path, out: Path) -> dict:
 
 
 def test_the_model_holds_most_of_the_screen(model: Path, empty_scene: synth.Scene) -> None:
-    made = background.load(model / "empty_screen.npz")
+    made = background.load_background(model / "empty_screen.npz")
     bars = empty_scene.instance == 1
     error = (made.disparity - empty_scene.disparity_px)[bars]
     assert np.isfinite(error).mean() > 0.8

@@ -85,7 +85,7 @@ def judged(
     row = evaluate.score(pair.record(), pair.stages(), evaluate.load_truth(scene), baselines) | {
         "ms": pair.total_ms()
     }
-    return row, evaluate.pool([row])
+    return row, evaluate.pool_scenes([row])
 
 
 def test_a_perfect_result_scores_perfectly(
@@ -147,7 +147,7 @@ def test_a_missed_and_an_invented_ore_are_counted(
 def test_an_empty_result_of_an_empty_scene(empty_scene: synth.Scene, tmp_path: Path) -> None:
     folder = synth.write(empty_scene, tmp_path / "empty")
     record, stages = truth_as_result(empty_scene)
-    total = evaluate.pool(
+    total = evaluate.pool_scenes(
         [evaluate.score(record, stages, evaluate.load_truth(folder), baselines=False)]
     )
     assert total["precision50"] == 1

@@ -15,11 +15,11 @@ from stereo_ore.lab.synth import paper_cloud
 from stereo_ore.network import Network
 from stereo_ore.stages import filters
 from stereo_ore.stages.filters.adaptive import run_passes
-from stereo_ore.stages.filters.evidence import DENSITY_FEATURES, gather
-from stereo_ore.stages.filters.scorer import Scorer, load
+from stereo_ore.stages.filters.evidence import DENSITY_FEATURES, bare_evidence
+from stereo_ore.stages.filters.scorer import Scorer, load_scorer
 from stereo_ore.stages.filters.stereo import SURE, has_cues, image_space
-from stereo_ore.stages.filters.stereo import gather as gather_stereo
-from stereo_ore.stages.filters.surface import eigen, fit_planes
+from stereo_ore.stages.filters.stereo import stereo_evidence as gather_stereo
+from stereo_ore.stages.filters.surface import eigen, fit_weighted_planes
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +64,7 @@ def test_residual_is_the_distance_to_the_weighted_plane() -> None:
     plane = np.column_stack([rng.uniform(-5, 5, (100, 2)), np.zeros(100)])
     x = np.concatenate([[[0, 0, 2.0]], plane]).astype(np.float32)
     index = np.tile(np.argsort(np.linalg.norm(x[1:], axis=1))[:16].astype(np.int32) + 1, (101, 1))
-    planes = fit_planes(x, index, np.ones(101, np.float32), x)
+    planes = fit_weighted_planes(x, index, np.ones(101, np.float32), x)
     assert abs(planes.height[0]) == pytest.approx(2.0, abs=1e-3)
     assert abs(planes.normal[0, 2]) == pytest.approx(1.0, abs=1e-6)
     assert np.exp(planes.shape[0, 0]) == pytest.approx(2.02, abs=1e-3)
@@ -75,7 +75,7 @@ def test_paper_protocol_beats_the_best_tuned_baseline(protocol: list[LabelledClo
     assert np.mean([q.f1 for q in ours]) >= 0.90
     assert min(q.f1 for q in ours) >= 0.86
     tuned = [c for c in CONTENDERS if c.method in ("statistical", "radius")]
-    best = [max(bench.judge(c, t).f1 for t in tuned) for c in protocol[4:6]]
+    best = [max(bench.judge_filter(c, t).f1 for t in tuned) for c in protocol[4:6]]
     assert np.mean([q.f1 for q in ours[4:6]]) >= np.mean(best) + 0.10
 
 
@@ -139,7 +139,7 @@ def test_image_space_has_pixels_and_disparity(stereo: LabelledCloud) -> None:
 
 
 def test_scorer_survives_its_file_and_its_equation() -> None:
-    scorer = load("geometry")
+    scorer = load_scorer("geometry")
     assert Scorer.from_dict(__import__("json").loads(scorer.to_json())) == scorer
     network = Network([1.0, 0.0], [2.0, 1.0], [[1.0], [-1.0]], [0.5], [2.0], -1.0)
     features = np.array([[3.0, 0.25], [-9.0, 0.0]], np.float32)
@@ -150,17 +150,17 @@ def test_scorer_survives_its_file_and_its_equation() -> None:
 
 
 def test_scorer_of_other_features_is_refused() -> None:
-    evidence = gather(bare_cloud(paper_cloud(0)[0][:200]).xyz, 16)
+    evidence = bare_evidence(bare_cloud(paper_cloud(0)[0][:200]).xyz, 16)
     assert evidence.names[: len(DENSITY_FEATURES)] == DENSITY_FEATURES
     with pytest.raises(ConfigError, match="other features"):
-        run_passes(evidence, load("stereo"))
+        run_passes(evidence, load_scorer("stereo"))
 
 
 def test_what_the_cues_decide_is_not_judged_again(stereo: LabelledCloud) -> None:
     evidence = gather_stereo(stereo.voxels, 16)
     first, final = (
-        load("stereo").passes[0].probability(evidence.cues),
-        run_passes(evidence, load("stereo")),
+        load_scorer("stereo").passes[0].probability(evidence.cues),
+        run_passes(evidence, load_scorer("stereo")),
     )
     sure = (first <= SURE) | (first >= 1 - SURE)
     assert 0.1 < sure.mean() < 0.95
@@ -172,14 +172,14 @@ def test_all_voxels_decided_by_cues_need_no_neighbours(stereo: LabelledCloud) ->
     evidence = gather_stereo(stereo.voxels, 16)
     certain = Network([0.0] * evidence.cues.shape[1], [1.0] * evidence.cues.shape[1],
                       [[0.0]] * evidence.cues.shape[1], [0.0], [0.0], -30.0)  # fmt: skip
-    scorer = Scorer(list(evidence.names), [certain, load("stereo").passes[1]])
+    scorer = Scorer(list(evidence.names), [certain, load_scorer("stereo").passes[1]])
     assert run_passes(evidence, scorer).max() < SURE
 
 
 def test_closed_form_finds_offsets_that_density_does_not_see(protocol: list[LabelledCloud]) -> None:
     quality = filter_quality(protocol[1].is_noise, removed(protocol[1], "closed-form"))
     assert quality.f1 > max(
-        bench.judge(protocol[1], t).f1 for t in CONTENDERS if t.method == "paper"
+        bench.judge_filter(protocol[1], t).f1 for t in CONTENDERS if t.method == "paper"
     )
 
 

@@ -8,7 +8,7 @@ from stereo_ore.lab import synth
 from stereo_ore.lab.bench.clean import CLEAN, clean_clouds, planted_clouds, scan
 from stereo_ore.lab.bench.labelled import bare_cloud
 from stereo_ore.lab.metrics import filter_quality
-from stereo_ore.lab.synth.outliers import ADDED, MOVED, normals, plant, spacing
+from stereo_ore.lab.synth.outliers import ADDED, MOVED, cloud_spacing, normals, plant_outliers
 from stereo_ore.network import Network, average
 from stereo_ore.stages import filters
 from stereo_ore.stages.filters.evidence import quantiles, vote_scales
@@ -56,7 +56,7 @@ def test_the_papers_outliers_on_a_real_boulder_bed(shared_data) -> None:  # type
 
 @pytest.mark.parametrize("kind", [*MOVED, *ADDED])
 def test_outliers_of_all_kinds_on_a_smooth_surface(kind: str) -> None:
-    xyz, noise = plant(np.random.default_rng(3), smooth(), 0.08, kind)
+    xyz, noise = plant_outliers(np.random.default_rng(3), smooth(), 0.08, kind)
     assert noise.mean() == pytest.approx(0.08, abs=0.002)
     assert filter_quality(noise, ~kept(xyz)).f1 >= 0.7
 
@@ -64,18 +64,18 @@ def test_outliers_of_all_kinds_on_a_smooth_surface(kind: str) -> None:
 def test_planting_leaves_the_surface_alone() -> None:
     clean = smooth()
     for kind in (*MOVED, *ADDED):
-        xyz, noise = plant(np.random.default_rng(3), clean, 0.08, kind)
+        xyz, noise = plant_outliers(np.random.default_rng(3), clean, 0.08, kind)
         np.testing.assert_array_equal(
             xyz[: len(clean)][~noise[: len(clean)]], clean[~noise[: len(clean)]]
         )
     with pytest.raises(ValueError, match="no outliers are called"):
-        plant(np.random.default_rng(3), clean, 0.08, "clump")
+        plant_outliers(np.random.default_rng(3), clean, 0.08, "clump")
 
 
 def test_normals_and_spacing_of_a_lattice() -> None:
     plane = np.insert(np.indices((20, 20)).reshape(2, -1).T.astype(float), 0, 0, axis=1)
     np.testing.assert_allclose(np.abs(normals(plane)) @ [1, 0, 0], 1, atol=1e-9)
-    assert spacing(plane) == pytest.approx((4 + 4 * np.sqrt(2)) / 8)
+    assert cloud_spacing(plane) == pytest.approx((4 + 4 * np.sqrt(2)) / 8)
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from stereo_ore.lab import synth
 from stereo_ore.lab.synth.foreign import TOOL
 from stereo_ore.stages import foreign
 from stereo_ore.stages.foreign.places import distances
-from stereo_ore.transforms import apply, inverse
+from stereo_ore.transforms import inverse, transform_points
 from stereo_ore.types import (
     Capsule,
     FrameResult,
@@ -91,9 +91,9 @@ def test_places_are_read_into_the_camera_frame_and_survive_a_round_trip(tmp_path
     assert isinstance(post, Capsule)
     assert isinstance(cabinet, Volume)
     assert isinstance(lamp, Polygon)
-    assert apply(site.T_arm_camera, boom.start) == pytest.approx([0, 0, 1], abs=1e-6)
+    assert transform_points(site.T_arm_camera, boom.start) == pytest.approx([0, 0, 1], abs=1e-6)
     assert (boom.flat, post.flat, post.end.tolist()) == (False, True, [1, 0, 3])
-    inside = apply(inverse(site.T_arm_camera), [1.5, 1.5, 0.5])
+    inside = transform_points(inverse(site.T_arm_camera), [1.5, 1.5, 0.5])
     assert cabinet.contains(inside[None]).all()
     save_site(site, tmp_path / "again.yaml")
     again = load_site(tmp_path / "again.yaml").keep_out

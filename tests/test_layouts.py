@@ -9,7 +9,13 @@ import numpy as np
 import pytest
 
 from stereo_ore.errors import FrameError, SourceError
-from stereo_ore.io.recordings import BagOptions, describe, expect_eyes, open_source, open_two_files
+from stereo_ore.io.recordings import (
+    BagOptions,
+    describe_recording,
+    expect_eyes,
+    open_source,
+    open_two_files,
+)
 from stereo_ore.io.recordings.images import IMAGE_SUFFIXES
 from stereo_ore.io.recordings.layouts import LAYOUTS, Layout, list_files, may_be_eye
 from stereo_ore.io.recordings.topics import choose_topics, is_rectified
@@ -57,7 +63,7 @@ def test_each_layout(layout: Layout, tmp_path: Path) -> None:
     names = [f"{n:06d}" if "*" in layout.left else f"scene{n}" for n in range(3)]
     assert_pairs(tmp_path, names)
     assert open_source(tmp_path).layout == layout.name
-    assert layout.name in describe(open_source(tmp_path))
+    assert layout.name in describe_recording(open_source(tmp_path))
 
 
 @pytest.mark.parametrize(
@@ -202,7 +208,7 @@ def test_what_is_taken_for_what_is_one_line(tmp_path: Path) -> None:
     write(tmp_path / "pairs", lambda n: f"left/{n}", lambda n: f"right/{n}")
     for n in range(2):
         save(tmp_path / "both" / f"{n}.png", np.hstack([picture(n, 0), picture(n, 1)]))
-    said = [describe(open_source(tmp_path / name)) for name in ("pairs", "both")]
+    said = [describe_recording(open_source(tmp_path / name)) for name in ("pairs", "both")]
     assert said == [
         "3 frames of two images, 2 × 32×20, stamps: modification time",
         "2 side-by-side frames of 2 × 32×20, stamps: modification time",

@@ -24,7 +24,7 @@ from live import ListSink, free_port, make_record, wait_for
 from stereo_ore.errors import OutputError
 from stereo_ore.plant.page import LivePage
 from stereo_ore.plant.publisher import Publisher
-from stereo_ore.plant.status import Status
+from stereo_ore.plant.status import PlantStatus
 
 BROWSER = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
@@ -46,7 +46,7 @@ class Live:
 
     def __init__(self, folder: Path, publisher: Publisher, names: tuple[str, ...] = ()) -> None:
         self.folder, self.publisher = folder, publisher
-        self.status = Status(Source(), publisher)
+        self.status = PlantStatus(Source(), publisher)
         self.page = LivePage(0, self.status, folder, names)
 
     def add(self, index: int, **changes: Any) -> None:

@@ -124,7 +124,7 @@ def test_one_frame_fused_is_that_frame(frames) -> None:
 
 @pytest.fixture(scope="module")
 def empty(frames) -> Background:
-    return background.build(frames[1])
+    return background.build_background(frames[1])
 
 
 def test_the_empty_screen_is_as_on_its_frames(frames, empty: Background) -> None:
@@ -171,13 +171,13 @@ def test_models_of_another_size_and_no_frames_are_refused(frames, empty: Backgro
     with pytest.raises(ConfigError, match=r"480×100 px.*480×320 px"):
         background.compare(small, frames[1][0])
     with pytest.raises(ConfigError, match="no frame"):
-        background.build([])
+        background.build_background([])
 
 
 def test_a_model_survives_its_file(tmp_path: Path, empty: Background) -> None:
     path = tmp_path / "empty_screen.npz"
-    background.save(empty, path)
-    again = background.load(path)
+    background.save_background(empty, path)
+    again = background.load_background(path)
     np.testing.assert_array_equal(again.disparity, empty.disparity)
     np.testing.assert_array_equal(again.sigma, empty.sigma)
     assert again.frames == empty.frames
@@ -189,9 +189,9 @@ def test_broken_model_files_are_named(content: bytes, tmp_path: Path) -> None:
     path = tmp_path / "model.npz"
     path.write_bytes(content)
     with pytest.raises(ConfigError, match=r"model\.npz"):
-        background.load(path)
+        background.load_background(path)
     with pytest.raises(ConfigError, match=r"absent\.npz"):
-        background.load(tmp_path / "absent.npz")
+        background.load_background(tmp_path / "absent.npz")
 
 
 def test_foreign_and_pickled_archives_are_refused(tmp_path: Path) -> None:
@@ -200,4 +200,4 @@ def test_foreign_and_pickled_archives_are_refused(tmp_path: Path) -> None:
     np.savez(pickled, format=np.array({"a": 1}, dtype=object), allow_pickle=True)
     for path in (foreign, pickled):
         with pytest.raises(ConfigError, match="empty screen"):
-            background.load(path)
+            background.load_background(path)

@@ -21,7 +21,7 @@ def plane(a: float, b: float, c: float) -> np.ndarray:
 @settings(deadline=None, max_examples=25)
 @given(a=st.floats(-0.2, 0.2), b=st.floats(-0.2, 0.2), c=st.floats(0, 300))
 def test_on_a_plane_nothing_stands_off(a: float, b: float, c: float) -> None:
-    cues = relief.compute(plane(a, b, c), np.ones(SHAPE, bool))
+    cues = relief.relief_cues(plane(a, b, c), np.ones(SHAPE, bool))
     assert tuple(cues) == RELIEF_CUES
     for window in RELIEF_WINDOWS_PX:
         assert np.abs(cues[f"offset_{window}_px"][INSIDE]).max() < 0.01
@@ -36,7 +36,7 @@ def test_on_a_plane_nothing_stands_off(a: float, b: float, c: float) -> None:
 def test_a_patch_too_near_stands_off_the_wider_planes() -> None:
     values = plane(0.02, 0, 50)
     values[70:90, 90:110] += 6
-    cues = relief.compute(values, np.ones(SHAPE, bool))
+    cues = relief.relief_cues(values, np.ones(SHAPE, bool))
     assert cues["offset_14_px"][80, 100] == pytest.approx(0, abs=0.1)
     assert cues["offset_72_px"][80, 100] > 4
     assert cues["scatter_36_px"][80, 90] > 1
@@ -44,8 +44,10 @@ def test_a_patch_too_near_stands_off_the_wider_planes() -> None:
 
 def test_invalid_pixels_have_no_say_and_no_offset() -> None:
     valid = np.random.default_rng(0).random(SHAPE) < 0.6
-    good = relief.compute(np.where(valid, plane(0.05, 0.02, 40), np.nan).astype(np.float32), valid)
-    wild = relief.compute(np.where(valid, plane(0.05, 0.02, 40), 900).astype(np.float32), valid)
+    good = relief.relief_cues(
+        np.where(valid, plane(0.05, 0.02, 40), np.nan).astype(np.float32), valid
+    )
+    wild = relief.relief_cues(np.where(valid, plane(0.05, 0.02, 40), 900).astype(np.float32), valid)
     for name in RELIEF_CUES:
         np.testing.assert_array_equal(good[name], wild[name])
         assert np.isfinite(good[name]).all()
@@ -56,7 +58,7 @@ def test_invalid_pixels_have_no_say_and_no_offset() -> None:
 @pytest.mark.parametrize("shape", [(1, 1), (1, 40), (3, 5), (7, 9)])
 def test_small_regions(shape: tuple[int, int]) -> None:
     for valid in (np.ones(shape, bool), np.zeros(shape, bool)):
-        cues = relief.compute(np.full(shape, 12, np.float32), valid)
+        cues = relief.relief_cues(np.full(shape, 12, np.float32), valid)
         assert all(cue.shape == shape and np.isfinite(cue).all() for cue in cues.values())
 
 
@@ -66,7 +68,7 @@ def test_threads_change_nothing() -> None:
     try:
         for count in (1, 4):
             cv2.setNumThreads(count)
-            found.append(relief.compute(values, valid))
+            found.append(relief.relief_cues(values, valid))
     finally:
         cv2.setNumThreads(threads)
     for name in RELIEF_CUES:

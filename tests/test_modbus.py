@@ -26,9 +26,9 @@ from stereo_ore.plant.sinks.message import Origin, message, notice
 from stereo_ore.plant.sinks.modbus import ModbusSink
 from stereo_ore.plant.sinks.modbus_table import (
     HEAD_WORDS,
+    MODBUS_SLOTS,
     READABLE_WORDS,
     SLOT_WORDS,
-    SLOTS,
     rows,
     words,
 )
@@ -240,7 +240,7 @@ def test_no_request_is_torn_and_a_set_read_in_parts_tells(sink, master):
 
 def check_set(found: dict[str, Any]) -> bool:
     """Whether the numbers say that a set is whole; then it must be."""
-    slots = range(1, SLOTS + 1)
+    slots = range(1, MODBUS_SLOTS + 1)
     lows = {found[f"target_{slot}.sequence_low"] for slot in slots}
     whole = found["sequence"] == found["sequence_again"] and lows == {found["sequence"] % 2**16}
     assert not whole or {found[f"target_{slot}.position_x"] for slot in slots} == {
@@ -253,7 +253,7 @@ def test_a_server_that_fails_is_an_alarm_and_starts_again(sink, monkeypatch):
     monkeypatch.setattr(supervisor, "RESTART_S", 0.1)
     sink.publish(make_message(4))
     with monkeypatch.context() as broken:
-        broken.setattr(modbus, "HEARTBEAT_S", "soon")
+        broken.setattr(modbus, "MODBUS_HEARTBEAT_S", "soon")
         wait_for(lambda: sink.state().alarm, what="alarm")
     wait_for(lambda: not sink.state().alarm, what="restart")
     assert sink.state().restarts >= 1
@@ -262,7 +262,7 @@ def test_a_server_that_fails_is_an_alarm_and_starts_again(sink, monkeypatch):
 
 
 def test_strangers_and_too_many_are_refused(monkeypatch):
-    monkeypatch.setattr(modbus, "MAX_CONSUMERS", 2)
+    monkeypatch.setattr(modbus, "MODBUS_CONSUMERS", 2)
     with ModbusSink("127.0.0.1", free_port(), [ip_network("10.1.0.0/16")]) as sink:
         with socket.create_connection(("127.0.0.1", port_of(sink)), timeout=5) as stranger:
             assert refused(stranger)
@@ -281,7 +281,7 @@ def test_strangers_and_too_many_are_refused(monkeypatch):
 
 
 def test_a_master_that_asks_nothing_gives_its_place_to_one_that_waits(sink, monkeypatch):
-    monkeypatch.setattr(modbus, "MAX_CONSUMERS", 2)
+    monkeypatch.setattr(modbus, "MODBUS_CONSUMERS", 2)
     monkeypatch.setattr(modbus, "IDLE_S", 1.0)
     address = "127.0.0.1", port_of(sink)
     with (
@@ -342,7 +342,7 @@ def test_the_table_has_no_gap_in_a_slot_and_no_register_twice():
     sizes = {"uint16": 1, "uint32": 2, "int32": 2, "float32": 2}
     taken = [address + word for address, kind, *_ in rows() for word in range(sizes[kind])]
     assert len(set(taken)) == len(taken)
-    assert HEAD_WORDS + SLOTS * SLOT_WORDS + 2 == READABLE_WORDS
+    assert HEAD_WORDS + MODBUS_SLOTS * SLOT_WORDS + 2 == READABLE_WORDS
     assert AT_ONCE == HEAD_WORDS + 3 * SLOT_WORDS
 
 

@@ -21,7 +21,7 @@ def run(out: Path, *options: str) -> object:
 
 
 def test_a_run_tells_which_network_it_used_and_another_folder_is_another_run(tmp_path: Path):
-    shipped = segment.load()
+    shipped = segment.load_lump_model()
     assert run(tmp_path / "a").exit_code == 0
     told = json.loads((tmp_path / "a" / "run.json").read_text())
     assert told["models"] == {"lumps": {"sha256": shipped.card.sha256}}

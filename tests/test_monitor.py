@@ -20,7 +20,7 @@ from live import ListSink, make_record, running, wait_for
 from stereo_ore.cli.logs import JsonLines
 from stereo_ore.plant.monitor import health, metrics
 from stereo_ore.plant.publisher import Publisher
-from stereo_ore.plant.status import LATENCY_S, Status
+from stereo_ore.plant.status import LATENCY_S, PlantStatus
 
 SAMPLE = re.compile(r'(stereo_ore_[a-z_]+)(?:\{((?:[a-z_]+="(?:[^"\\\n]|\\[\\"n])*",?)+)\})? (\S+)')
 Usage = namedtuple("Usage", "total used free")
@@ -53,9 +53,9 @@ def sink() -> Sink:
 
 
 @pytest.fixture
-def status(sink: Sink) -> Iterator[Status]:
+def status(sink: Sink) -> Iterator[PlantStatus]:
     with Publisher([sink], valid_for_s=5.0) as publisher:
-        yield Status(Source(), publisher)
+        yield PlantStatus(Source(), publisher)
 
 
 def samples(text: str) -> dict[str, float]:
@@ -75,7 +75,7 @@ def samples(text: str) -> dict[str, float]:
     return found
 
 
-def test_metrics_count_what_happened(status: Status, sink: Sink, tmp_path: Path):
+def test_metrics_count_what_happened(status: PlantStatus, sink: Sink, tmp_path: Path):
     for index, (verdict, latency_s) in enumerate(
         (("ok", 0.3), ("ok", 0.25), ("failed", 100.0), ("ok", -5.0))
     ):
@@ -102,7 +102,7 @@ def test_metrics_count_what_happened(status: Status, sink: Sink, tmp_path: Path)
     assert found["stereo_ore_disk_free_bytes{}"] > 0
 
 
-def test_metrics_before_the_first_frame_are_of_the_format_too(status: Status, tmp_path: Path):
+def test_metrics_before_the_first_frame_are_of_the_format_too(status: PlantStatus, tmp_path: Path):
     found = samples(metrics(status, tmp_path))
     assert not any(
         name.startswith(("stereo_ore_frame_age", "stereo_ore_target_age")) for name in found
@@ -110,7 +110,7 @@ def test_metrics_before_the_first_frame_are_of_the_format_too(status: Status, tm
     assert found["stereo_ore_targets_valid{}"] == 0
 
 
-def test_prometheus_own_parser_reads_them(status: Status, tmp_path: Path):
+def test_prometheus_own_parser_reads_them(status: PlantStatus, tmp_path: Path):
     parser = pytest.importorskip(
         "prometheus_client.parser", reason="prometheus_client is not installed"
     )
@@ -124,7 +124,7 @@ def test_prometheus_own_parser_reads_them(status: Status, tmp_path: Path):
 
 
 def test_health_tells_what_needs_somebody(
-    status: Status, sink: Sink, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    status: PlantStatus, sink: Sink, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     assert health(status, tmp_path)["status"] == "warning"
     status.add(make_record(0))

@@ -29,7 +29,7 @@ from stereo_ore.errors import OutputError
 from stereo_ore.plant.sinks import opcua, supervisor
 from stereo_ore.plant.sinks.message import Origin, notice
 from stereo_ore.plant.sinks.opcua import OpcUaSecurity, OpcUaSink
-from stereo_ore.plant.sinks.opcua_model import NAMESPACE, PAYLOAD, SLOTS
+from stereo_ore.plant.sinks.opcua_model import NAMESPACE, OPCUA_SLOTS, PAYLOAD
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:asyncua")
 
@@ -140,7 +140,7 @@ def test_the_model_says_all_about_a_message(sink, connection):
     assert values["Direction"][:3] == [0.0, 0.0, -1.0]
     assert values["Size"][:3] == [3.0, 0.3, 0.2]
     assert (values["Oversize"][:3], values["Score"][0]) == ([1, 1, -1], 0.9)
-    assert values["SequenceNumber"] == [3] * SLOTS
+    assert values["SequenceNumber"] == [3] * OPCUA_SLOTS
     assert (values["ValidUntil"] - values["Published"]).total_seconds() == pytest.approx(
         60, abs=0.1
     )
@@ -165,15 +165,15 @@ def test_a_degraded_frame_and_the_end_leave_no_target(sink, connection):
         assert read(connection, "Targets", "Valid") is False
         assert read(connection, "Targets", "Count") == 0
         assert all(math.isnan(value) for value in read(connection, "Targets", "Position"))
-        assert read(connection, "Targets", "Id") == [0] * SLOTS
+        assert read(connection, "Targets", "Id") == [0] * OPCUA_SLOTS
     assert read(connection, "Result", "Status") == "stopped"
     assert read(connection, "Result", "Reasons") == ["STOPPED"]
 
 
 def test_more_targets_than_slots_keep_the_best(sink, connection):
-    publish(sink, make_message(6, ores=SLOTS + 4))
-    assert read(connection, "Targets", "Count") == SLOTS
-    assert read(connection, "Targets", "Id") == list(range(1, SLOTS + 1))
+    publish(sink, make_message(6, ores=OPCUA_SLOTS + 4))
+    assert read(connection, "Targets", "Count") == OPCUA_SLOTS
+    assert read(connection, "Targets", "Id") == list(range(1, OPCUA_SLOTS + 1))
 
 
 def test_the_arm_acknowledges_and_can_write_nothing_else(sink, connection):
@@ -238,7 +238,7 @@ def check_stream(sink: OpcUaSink, count: int) -> list[float]:
     assert [message["Sequence"] for message in stream] == list(range(1, count + 1))
     for message in stream:
         sequence, ores = message["Sequence"], 1 + message["Sequence"] % 5
-        assert message["SequenceNumber"] == [sequence] * SLOTS
+        assert message["SequenceNumber"] == [sequence] * OPCUA_SLOTS
         assert (message["Frame"], message["FrameIndex"], message["Count"]) == (
             f"{sequence:06d}",
             sequence,
@@ -247,7 +247,7 @@ def check_stream(sink: OpcUaSink, count: int) -> list[float]:
         assert message["Position"][: 3 * ores : 3] == [float(sequence)] * ores
         assert all(math.isnan(value) for value in message["Position"][3 * ores :])
         assert message["Size"][: 3 * ores : 3] == [float(sequence)] * ores
-        assert message["Id"] == [*range(1, ores + 1), *[0] * (SLOTS - ores)]
+        assert message["Id"] == [*range(1, ores + 1), *[0] * (OPCUA_SLOTS - ores)]
         assert json.loads(message["Json"])["sequence"] == sequence
     return times
 

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stereo_ore.errors import FrameError
-from stereo_ore.io.recordings import describe, jpeg, open_source
+from stereo_ore.io.recordings import describe_recording, jpeg, open_source
 from stereo_ore.io.recordings.image_header import claimed_size, tiff_pages
 from stereo_ore.io.recordings.images import depth_of, is_complete, read_image, to_8_bit, turn_of
 
@@ -110,8 +110,9 @@ def test_a_turn_of_one_eye_is_told_and_of_both_is_not_made(order: str, tmp_path:
     (tmp_path / "left.jpg").write_bytes(turned)
     pair = open_source(tmp_path).read(0)
     np.testing.assert_array_equal(pair.left, cv2.imdecode(np.frombuffer(plain, np.uint8), 1))
-    assert "left.jpg asks viewers to turn it by 180°, pixels are taken as stored" in describe(
-        open_source(tmp_path)
+    assert (
+        "left.jpg asks viewers to turn it by 180°, pixels are taken as stored"
+        in describe_recording(open_source(tmp_path))
     )
 
 

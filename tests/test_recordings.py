@@ -14,7 +14,13 @@ import pytest
 
 from stereo_ore.cli import launch
 from stereo_ore.errors import FrameError, SourceError
-from stereo_ore.io.recordings import BagOptions, Source, describe, open_source, open_two_files
+from stereo_ore.io.recordings import (
+    BagOptions,
+    Source,
+    describe_recording,
+    open_source,
+    open_two_files,
+)
 
 ROOT = Path(__file__).parents[1]
 SCENE = ROOT / "data" / "paper_03"
@@ -200,7 +206,7 @@ def test_18_two_videos(layout: str, shared_data: Path) -> None:
     source = open_two_files(*videos) if "--" in layout else open_source(folder / layout)
     assert read_all(source) == 4
     assert source.description == {"kind": "two videos", "frames": 4, "unpaired": 0}
-    assert describe(source).startswith("4 frames of two videos, 2 × 1280×720")
+    assert describe_recording(source).startswith("4 frames of two videos, 2 × 1280×720")
 
 
 def test_26_hot_pixel(shared_data: Path, run: Callable[..., Run]) -> None:

@@ -119,7 +119,7 @@ def test_detail_of_a_frame(report: Page) -> None:
 
 def test_points_survive_packing() -> None:
     table = cloud(3)
-    packed = cloud_view.pack(table, 100)
+    packed = cloud_view.pack_cloud(table, 100)
     assert (packed["count"], packed["of"]) == (100, 500)
     xyz = np.frombuffer(base64.b64decode(packed["xyz_mm"]), "<i2").reshape(-1, 3) / 1000
     np.testing.assert_allclose(xyz, clouds.xyz(table[::5]), atol=0.00051)

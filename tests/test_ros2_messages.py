@@ -87,7 +87,7 @@ def test_a_lump_without_a_solid_has_no_marker_and_no_lifetime_is_endless() -> No
     rig = make_rectifier(load(CALIBRATION)).rig
     record = make_record(ores=2)
     record["ores"][0] |= {"box": None, "size_m": None}
-    found = markers.lumps(ros(), record, rig, 0.0).markers
+    found = markers.lump_markers(ros(), record, rig, 0.0).markers
     assert [marker.id for marker in found[1:]] == [2, 2]
     assert all(marker.lifetime.nanosec == 1 for marker in found[1:])
     assert found[2].text == "2\n0.00 × 0.30 × 0.20 m"

@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stereo_ore.plant.ros2.pairing import (
-    MOST_WAITING,
-    PATIENCE_S,
+    ROS_MOST_WAITING,
+    ROS_PATIENCE_S,
     Coming,
     Newest,
     Pairer,
-    Taken,
+    TakenEyes,
 )
 
 MS = 1_000_000
@@ -28,7 +28,7 @@ Arrivals = Iterable[tuple[int, int, int]]
 def frames_of(arrivals: Arrivals, numbered: bool = True) -> list[Coming]:
     pairer, found = Pairer(SKEW), []
     for place, (eye, number, stamp) in enumerate(arrivals):
-        image = Taken(stamp, float(place), number, number + 1 if numbered else None)
+        image = TakenEyes(stamp, float(place), number, number + 1 if numbered else None)
         found += pairer.add(eye, image)
     return found + pairer.overdue(1e9)
 
@@ -104,10 +104,10 @@ def test_stamps_farther_apart_than_allowed_are_no_pair() -> None:
 
 def test_an_eye_that_is_gone_is_told_soon_and_holds_little() -> None:
     pairer = Pairer(SKEW)
-    told = [pairer.add(0, Taken(START + n * PERIOD, n / 15, None)) for n in range(100)]
-    assert sum(map(len, told)) == 100 - MOST_WAITING
-    assert pairer.overdue((100 - MOST_WAITING) / 15 + PATIENCE_S) == []
-    assert len(pairer.overdue(100 / 15 + PATIENCE_S)) == MOST_WAITING
+    told = [pairer.add(0, TakenEyes(START + n * PERIOD, n / 15, None)) for n in range(100)]
+    assert sum(map(len, told)) == 100 - ROS_MOST_WAITING
+    assert pairer.overdue((100 - ROS_MOST_WAITING) / 15 + ROS_PATIENCE_S) == []
+    assert len(pairer.overdue(100 / 15 + ROS_PATIENCE_S)) == ROS_MOST_WAITING
 
 
 def test_a_driver_that_starts_anew_is_no_loss() -> None:
@@ -116,7 +116,7 @@ def test_a_driver_that_starts_anew_is_no_loss() -> None:
     found = []
     for place, number in enumerate(numbers):
         for eye in (0, 1):
-            found += pairer.add(eye, Taken(START + place * PERIOD, place, None, number))
+            found += pairer.add(eye, TakenEyes(START + place * PERIOD, place, None, number))
     assert [frame.lost for frame in found] == [0] * 5
 
 
@@ -124,8 +124,8 @@ def test_of_frames_that_wait_only_the_newest_pair_keeps_its_images() -> None:
     newest = Newest()
     pixels = np.zeros(1)
 
-    def image(number: int) -> Taken:
-        return Taken(START + number * PERIOD, float(number), pixels)
+    def image(number: int) -> TakenEyes:
+        return TakenEyes(START + number * PERIOD, float(number), pixels)
 
     for coming in (
         Coming(image(0), image(0)),

@@ -6,7 +6,7 @@ import pytest
 from analytic import Ellipsoid, View, look_down
 
 from stereo_ore.config.models import SolidConfig, StrikeConfig
-from stereo_ore.draw.scene_picture import draw
+from stereo_ore.draw.scene_picture import draw_scene
 from stereo_ore.errors import MissingExtraError
 from stereo_ore.stages.solid import solids
 from stereo_ore.stages.strike import plans
@@ -33,7 +33,7 @@ def result() -> FrameResult:
 
 
 def test_solids_and_strikes_are_drawn(result: FrameResult) -> None:
-    image = draw(result)
+    image = draw_scene(result)
     assert image is not None
     assert image.shape == (750, 1000, 3)
     assert image.dtype == np.uint8
@@ -46,25 +46,25 @@ def test_colours_tell_size(result: FrameResult) -> None:
     solid = result.ores[0].solid
     assert solid is not None
     passes = replace(result, ores=(replace(result.ores[0], solid=replace(solid, oversize=False)),))
-    image = draw(passes)
+    image = draw_scene(passes)
     assert image is not None
     assert (image[..., 1].astype(int) - image[..., 2] > 20).sum() > 3000
 
 
 def test_equal_frames_give_equal_pictures(result: FrameResult) -> None:
-    one, other = draw(result), draw(result)
+    one, other = draw_scene(result), draw_scene(result)
     assert one is not None
     assert other is not None
     assert one.tobytes() == other.tobytes()
 
 
 def test_frames_that_stopped_early(result: FrameResult) -> None:
-    assert draw(replace(result, grizzly=None)) is None
-    bare = draw(replace(result, ores=(), surface=None))
+    assert draw_scene(replace(result, grizzly=None)) is None
+    bare = draw_scene(replace(result, ores=(), surface=None))
     assert bare is not None
     assert bare.std() > 0
     without = replace(result, ores=(replace(result.ores[0], solid=None),))
-    assert draw(without) is not None
+    assert draw_scene(without) is not None
 
 
 def test_without_matplotlib_one_line_says_what_to_install(
@@ -72,4 +72,4 @@ def test_without_matplotlib_one_line_says_what_to_install(
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(MissingExtraError, match="matplotlib"):
-        draw(result)
+        draw_scene(result)

@@ -15,11 +15,11 @@ from stereo_ore.lab import synth
 from stereo_ore.stages import grizzly, segment
 from stereo_ore.stages.segment import channels, model, outputs, votes, whole
 from stereo_ore.stages.segment.lay import laid
-from stereo_ore.stages.segment.outline import sharpened
+from stereo_ore.stages.segment.outline import sharpened_picture
 from stereo_ore.types import Disparity, Grizzly, OreMap, Region, Rig, Site, Surface, Volume
 
 CONFIG = SegmentConfig()
-MODEL = segment.load()
+MODEL = segment.load_lump_model()
 APART = ((-0.3, -0.2, 0.05, 0.11), (0.25, -0.25, 0.06, 0.12), (0.0, 0.3, 0.04, 0.1))
 HEAP = ((-0.13, 0.0, 0.05, 0.14), (0.13, 0.0, 0.05, 0.14), (0.0, 0.02, 0.22, 0.1))
 
@@ -217,7 +217,7 @@ def test_channels_are_those_of_a_sphere_on_a_plane():
     screen = Screen(lumps=((0.0, 0.0, 0.0, 0.15),), half=0.6, bars=False, pit=0.0)
     surface, truth = draw(screen)
     disparity = disparity_of(surface)
-    seen = channels.measure(
+    seen = channels.measure_channels(
         disparity, surface, Grizzly(screen.plane, "site"), OPENING, disparity.region
     )
     shape = truth.shape
@@ -239,7 +239,7 @@ def test_channels_have_no_nan_where_nothing_was_measured():
     surface.xyz[:] = np.nan
     disparity = disparity_of(surface)
     screen = Grizzly(Screen().plane, "site")
-    x = channels.measure(disparity, surface, screen, OPENING, disparity.region).x
+    x = channels.measure_channels(disparity, surface, screen, OPENING, disparity.region).x
     assert np.isfinite(x).all()
     assert not x[:8].any()
 
@@ -316,7 +316,7 @@ def test_outlines_move_to_edges_within_the_band_only():
     for off, expected, error in ((3, 20, 1), (-3, 20, 1), (9, 11, 4)):
         labels = np.zeros(grey.shape, np.int32)
         labels[20 - off : 60 - off, 20 - off : 60 - off] = 1
-        top = int(np.flatnonzero(sharpened(labels, np.dstack([grey] * 3), 4).any(1))[0])
+        top = int(np.flatnonzero(sharpened_picture(labels, np.dstack([grey] * 3), 4).any(1))[0])
         assert abs(top - expected) <= error
 
 
@@ -353,7 +353,7 @@ def copied(tmp_path: Path, **changed: object) -> Path:
 
 def test_a_model_folder_gives_what_the_shipped_one_gives(tmp_path: Path):
     x = np.random.default_rng(0).normal(size=(10, 50, 70)).astype(np.float32)
-    mine = segment.load(str(copied(tmp_path)))
+    mine = segment.load_lump_model(str(copied(tmp_path)))
     np.testing.assert_array_equal(mine(x), MODEL(x))
     assert MODEL(x).shape == (5, 50, 70)
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(mine))(x), MODEL(x))
@@ -373,14 +373,14 @@ def test_a_model_folder_gives_what_the_shipped_one_gives(tmp_path: Path):
 )
 def test_a_card_that_does_not_fit_is_named(tmp_path: Path, changed: dict[str, object], key: str):
     with pytest.raises(ConfigError, match=r"card\.json") as caught:
-        segment.load(str(copied(tmp_path, **changed)))
+        segment.load_lump_model(str(copied(tmp_path, **changed)))
     assert caught.value.key == key
     assert "tune" in str(caught.value)
 
 
 def test_a_folder_without_a_model_and_a_broken_network_are_named(tmp_path: Path):
     with pytest.raises(ConfigError, match=r"models\.lumps.*model\.onnx"):
-        segment.load(str(tmp_path / "none"))
+        segment.load_lump_model(str(tmp_path / "none"))
     model.write(tmp_path, b"no network", {})
     with pytest.raises(ConfigError, match=r"models\.lumps.*OpenCV"):
-        segment.load(str(tmp_path))
+        segment.load_lump_model(str(tmp_path))

@@ -25,8 +25,8 @@ from stereo_ore.config import HealthConfig
 from stereo_ore.errors import FrameError, OutputError, SourceError, StereoOreError
 from stereo_ore.io.lock import FolderLock
 from stereo_ore.io.recordings import open_source
-from stereo_ore.plant.camera import Camera, open_camera
-from stereo_ore.plant.frames import LiveFrame, Position, Recording
+from stereo_ore.plant.camera import LiveCamera, open_camera
+from stereo_ore.plant.frames import LiveFrame, Position, ReplayedRecording
 from stereo_ore.plant.loop import processing
 from stereo_ore.runs.driver import Driver
 from stereo_ore.runs.frame_files import FrameFiles
@@ -106,7 +106,7 @@ def test_a_recording_is_served_to_its_end(tmp_path):
     for index in range(5):
         cv2.imwrite(str(recording / f"frame{index}.png"), np.full((8, 16, 3), index, np.uint8))
     sink = ListSink()
-    with running(Recording(open_source(recording)), tmp_path / "out", [sink]):
+    with running(ReplayedRecording(open_source(recording)), tmp_path / "out", [sink]):
         wait_for(lambda: len(sink.messages) == 5)
     assert names_in(tmp_path / "out" / "frames.jsonl") == [f"frame{index}" for index in range(5)]
 
@@ -165,7 +165,7 @@ def stop() -> Iterator[threading.Event]:
 
 def test_a_camera_delivers_both_eyes_with_stamps(video, stop):
     allowed = threading.Semaphore(0)
-    camera = Camera(lambda: Playback(video, allowed), "camera 0")
+    camera = LiveCamera(lambda: Playback(video, allowed), "camera 0")
     frames = camera.frames(Position(7), stop)
     for number in range(3):
         allowed.release()
@@ -185,7 +185,7 @@ def test_a_camera_delivers_both_eyes_with_stamps(video, stop):
 
 def test_a_slow_reader_gets_the_newest_picture(video, stop):
     allowed = threading.Semaphore(0)
-    camera = Camera(lambda: Playback(video, allowed), "camera 0")
+    camera = LiveCamera(lambda: Playback(video, allowed), "camera 0")
     frames = camera.frames(Position(), stop)
     allowed.release()
     next(frames)
@@ -202,7 +202,7 @@ def test_a_camera_that_was_unplugged_is_opened_again(video, stop):
     def open_capture() -> Playback | None:
         return None if missing and missing.pop() else Playback(video, allowed)
 
-    camera = Camera(open_capture, "camera 0", retry_s=0.05)
+    camera = LiveCamera(open_capture, "camera 0", retry_s=0.05)
     before = Playback.opened
     frames = camera.frames(Position(), stop)
     for frame in islice(frames, 3):
@@ -222,7 +222,7 @@ def test_a_picture_that_can_not_be_split_is_a_failed_frame(stop):
         def release(self) -> None:
             pass
 
-    frame = next(Camera(Odd, "camera 0").frames(Position(), stop))
+    frame = next(LiveCamera(Odd, "camera 0").frames(Position(), stop))
     with pytest.raises(FrameError, match="7 px wide"):
         frame.read()
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from stereo_ore.errors import ConfigError
 from stereo_ore.io.calibration.geometry import from_vector
 from stereo_ore.io.site import HandEyeRecord, load_site, save_arm, save_site
-from stereo_ore.transforms import apply, inverse, rotation_fault
+from stereo_ore.transforms import inverse, rotation_fault, transform_points
 from stereo_ore.types import Plane, Site, Volume
 
 EXAMPLE = Path(__file__).parents[1] / "calib" / "site.yaml"
@@ -43,11 +43,11 @@ def test_the_example_is_in_the_camera_frame() -> None:
     site = load_site(EXAMPLE)
     assert site.plane is not None
     assert site.volume is not None
-    origin_of_arm = apply(inverse(site.T_arm_camera), [0.0, 0.0, 0.0])
+    origin_of_arm = transform_points(inverse(site.T_arm_camera), [0.0, 0.0, 0.0])
     assert site.plane.height(origin_of_arm) == pytest.approx(0, abs=1e-9)
     assert site.plane.height([0.0, 0.0, 0.0]) == pytest.approx(2.6)
     assert site.volume.contains(
-        apply(inverse(site.T_arm_camera), [[0, 0, 0.5], [0, 0, 1.5]])
+        transform_points(inverse(site.T_arm_camera), [[0, 0, 0.5], [0, 0, 1.5]])
     ).tolist() == [True, False]
     assert (site.opening_m, site.bar_width_m, site.background) == (0.30, 0.075, None)
 

@@ -10,14 +10,14 @@ from scipy.spatial.transform import Rotation
 from stereo_ore.config.models import SolidConfig
 from stereo_ore.planes import fit_planes
 from stereo_ore.stages.solid import looks, prior, solids
-from stereo_ore.stages.solid.cues import gather
+from stereo_ore.stages.solid.cues import gather_cues
 from stereo_ore.stages.solid.measure import (
     IN_PLANE_TURNS,
     convex_body,
     longest_calliper,
     smallest_box,
 )
-from stereo_ore.stages.solid.sight import look
+from stereo_ore.stages.solid.sight import look_at_lumps
 from stereo_ore.types import OreMap, Rig, Solid
 
 CONFIG = SolidConfig()
@@ -209,11 +209,11 @@ def test_plane_fields_are_exact_on_planes(a: float, b: float, z: float) -> None:
 def test_the_shipped_coefficients_fit_the_cues() -> None:
     view = look_down([BOULDER], bars=True)
     box = (slice(100, 400), slice(150, 500))
-    sight = look(view.surface, view.ore_map.labels, box, 1, view.grizzly.plane, 30)
+    sight = look_at_lumps(view.surface, view.ore_map.labels, box, 1, view.grizzly.plane, 30)
     assert sight is not None
-    cues = gather(sight, view.grizzly.bars, view.grizzly.opening_m)
+    cues = gather_cues(sight, view.grizzly.bars, view.grizzly.opening_m)
     assert cues is not None
-    shipped = prior.load()
+    shipped = prior.load_prior()
     assert set(shipped.even.cues) == set(cues.even)
     assert set(shipped.odd.cues) == set(cues.odd)
     assert set(cues.doubts) == set(prior.DOUBTS)
@@ -264,7 +264,7 @@ def test_looks_are_those_of_the_solids() -> None:
     ):
         assert looked is not None
         sight, cues = looked
-        mean = prior.load().estimate(cues.even, cues.odd, cues.doubts).mean
+        mean = prior.load_prior().estimate(cues.even, cues.odd, cues.doubts).mean
         centre = np.array([mean[axis] for axis in "xyz"]) * sight.size + [0.0, 0.0, cues.support]
         np.testing.assert_allclose(sight.to_camera(centre), solid.centre_of_gravity, atol=1e-9)
 

@@ -18,7 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from runs import quarter_scene
 
-from stereo_ore.cli.recording import calibration_of
+from stereo_ore.cli.recording import calibration_for
 from stereo_ore.errors import CalibrationError, FrameError, SourceError
 from stereo_ore.io.recordings import BagOptions, open_source, ros_messages
 from stereo_ore.io.recordings.pairing import pair_by_stamp
@@ -294,7 +294,7 @@ def test_a_calibration_of_raw_images_is_refused_for_rectified_ones(tmp_path: Pat
         .replace("images: rectified", "images: raw")
     )
     with pytest.raises(CalibrationError, match="is for raw images, /left/image_rect has rect"):
-        calibration_of(open_source(path), file)
+        calibration_for(open_source(path), file)
 
 
 def test_given_topics(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from recordings import access_units, write_svo2
 
 from stereo_ore.errors import FrameError, SourceError
-from stereo_ore.io.recordings import describe, expect_eyes, open_source
+from stereo_ore.io.recordings import describe_recording, expect_eyes, open_source
 from stereo_ore.io.recordings.access_units import UnitDecoder, codec_of, is_key
 
 pytest.importorskip("av", reason="the extra [svo] is not installed")
@@ -48,7 +48,7 @@ def test_frames_in_any_order_with_their_stamps(recording: Path) -> None:
         np.testing.assert_array_equal(pair.right, PAIRS[index][1])
         assert (pair.stamp_ns, pair.stamp_source) == (STAMPS[index], "header")
     assert source.description == {"kind": "SVO2", "frames": COUNT, "camera": "SN12345678"}
-    assert describe(source).startswith("7 frames of SVO2, 2 × 96×64")
+    assert describe_recording(source).startswith("7 frames of SVO2, 2 × 96×64")
 
 
 def test_it_can_be_sent_to_a_worker(recording: Path) -> None:

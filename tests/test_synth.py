@@ -21,7 +21,7 @@ from stereo_ore.lab import synth
 from stereo_ore.lab.synth import mesh, placing, rig, rocks, screen
 from stereo_ore.lab.synth.eye import Eye, depth_and_instance
 from stereo_ore.lab.synth.model import Model, Part, vertex_normals
-from stereo_ore.transforms import apply, inverse
+from stereo_ore.transforms import inverse, transform_points
 from stereo_ore.types import CameraModel
 
 
@@ -32,7 +32,7 @@ def points_of(scene: synth.Scene) -> np.ndarray:
     z = scene.depth_m.astype(float)
     xyz = np.stack([(u - K[0, 2]) / K[0, 0] * z, (v - K[1, 2]) / K[1, 1] * z, z], -1)
     T_screen_camera = inverse(scene.spec.T_world_screen) @ scene.spec.camera.T_world_left
-    return apply(T_screen_camera @ scene.rectified.T_left_rectified, xyz)
+    return transform_points(T_screen_camera @ scene.rectified.T_left_rectified, xyz)
 
 
 # --- meshes ---------------------------------------------------------------------------------------
@@ -160,16 +160,20 @@ def test_the_camera_looks_at_its_target_from_its_height() -> None:
     T = camera.T_world_left
     assert np.linalg.det(T[:3, :3]) == pytest.approx(1)
     assert T[2, 3] == pytest.approx(2)
-    assert apply(inverse(T), [0.3, -0.4, 0]) == pytest.approx([0, 0, camera.distance])
+    assert transform_points(inverse(T), [0.3, -0.4, 0]) == pytest.approx([0, 0, camera.distance])
 
 
 def test_rays_of_a_distorted_eye_are_those_its_lens_model_projects_back() -> None:
     spec = synth.sample_spec(3, "raw", "VGA")
     calibration = rig.raw_rig(spec)
-    left, right, _ = rig.eyes(calibration, rig.rectification(calibration), spec.camera.T_world_left)
+    left, right, _ = rig.eyes(
+        calibration, rig.reference_rectification(calibration), spec.camera.T_world_left
+    )
     for eye in (left, right):
         rays = eye.rays(range(10, 360, 50)).reshape(-1, 6)
-        xyz = apply(inverse(eye.T_screen_eye), rays[:, :3] + 2.0 * rays[:, 3:].astype(float))
+        xyz = transform_points(
+            inverse(eye.T_screen_eye), rays[:, :3] + 2.0 * rays[:, 3:].astype(float)
+        )
         pixels = cv2.projectPoints(
             xyz, np.zeros(3), np.zeros(3), eye.camera.K, np.array(eye.camera.distortion)
         )[0].reshape(-1, 2)
@@ -180,14 +184,16 @@ def test_rays_of_a_distorted_eye_are_those_its_lens_model_projects_back() -> Non
 def test_the_right_eye_is_where_the_calibration_says() -> None:
     spec = synth.sample_spec(3, "raw", "VGA")
     calibration = rig.raw_rig(spec)
-    left, right, straight = rig.eyes(calibration, rig.rectification(calibration), np.eye(4))
+    left, right, straight = rig.eyes(
+        calibration, rig.reference_rectification(calibration), np.eye(4)
+    )
     point = np.array([0.1, -0.2, 1.5])
     expected = (
-        calibration.R_right_left @ apply(inverse(left.T_screen_eye), point)
+        calibration.R_right_left @ transform_points(inverse(left.T_screen_eye), point)
         + calibration.t_right_left
     )
-    assert apply(inverse(right.T_screen_eye), point) == pytest.approx(expected)
-    assert np.linalg.norm(apply(inverse(straight.T_screen_eye), point)) == pytest.approx(
+    assert transform_points(inverse(right.T_screen_eye), point) == pytest.approx(expected)
+    assert np.linalg.norm(transform_points(inverse(straight.T_screen_eye), point)) == pytest.approx(
         np.linalg.norm(point)
     )
 
@@ -253,13 +259,13 @@ def test_lumps_are_where_their_truth_says(synth_scene: synth.Scene) -> None:
     assert len(synth_scene.lumps) >= 2
     for lump in synth_scene.lumps:
         seen = points[synth_scene.instance == lump.id]
-        centre = apply(inverse(synth_scene.spec.T_world_screen), lump.com_world)
+        centre = transform_points(inverse(synth_scene.spec.T_world_screen), lump.com_world)
         assert len(seen) == lump.visible_pixels == lump.visible_pixels_rectified
         assert np.linalg.norm(seen - centre, axis=1).max() < lump.max_calliper
         assert np.linalg.norm(seen - centre, axis=1).min() > 0.2 * lump.min_calliper
-        assert apply(synth_scene.spec.camera.T_world_left, lump.com_left) == pytest.approx(
-            lump.com_world
-        )
+        assert transform_points(
+            synth_scene.spec.camera.T_world_left, lump.com_left
+        ) == pytest.approx(lump.com_world)
         assert lump.volume_m3 < np.prod(lump.box_dims)
         assert lump.visible_pixels <= lump.unoccluded_pixels
         assert lump.oversize == (lump.box_dims[1] > synth_scene.spec.screen.opening)

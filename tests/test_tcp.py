@@ -78,7 +78,7 @@ def test_a_late_consumer_starts_with_the_latest_message_without_expired_targets(
 
 
 def test_heartbeats_tell_that_the_program_lives(sink, monkeypatch):
-    monkeypatch.setattr(tcp, "HEARTBEAT_S", 0.05)
+    monkeypatch.setattr(tcp, "TCP_HEARTBEAT_S", 0.05)
     consumer = Consumer(sink)
     lines = [json.loads(consumer.lines.readline()) for _ in range(3)]
     assert [line["schema"] for line in lines] == ["stereo_ore/heartbeat/1"] * 3

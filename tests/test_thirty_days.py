@@ -31,7 +31,7 @@ from stereo_ore.plant.live_folder import LiveFolder
 from stereo_ore.plant.loop import serve
 from stereo_ore.plant.publisher import Publisher
 from stereo_ore.plant.retention import Retention, parse_limits
-from stereo_ore.plant.status import Status
+from stereo_ore.plant.status import PlantStatus
 from stereo_ore.plant.watch import FolderWatch
 from stereo_ore.runs.folder import FrameLines, RunFolder
 
@@ -128,7 +128,7 @@ class Plant:
             LiveFolder(self.out, about, clock=self.clock) as folder,
             Publisher([self.sink], 5.0) as publisher,
         ):
-            status = Status(watch, publisher, lambda: folder.alarm)
+            status = PlantStatus(watch, publisher, lambda: folder.alarm)
             limits = parse_limits(LIMITS)
             retention = Retention(self.out, limits, watch.inbox.handled, self.clock)
             began_s = self.clock.now_s

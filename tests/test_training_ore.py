@@ -37,7 +37,7 @@ def test_targets_of_a_crop_point_at_the_middles_of_its_lumps() -> None:
     rng = np.random.default_rng(1)
     pointed = 0
     for _ in range(20):
-        x, t = crops.crop(seen, rng)
+        x, t = crops.training_crop(seen, rng)
         assert x.shape == (len(CHANNELS), crops.SIDE, crops.SIDE)
         assert t.shape == (7, crops.SIDE, crops.SIDE)
         assert np.isfinite(x).all()
@@ -60,7 +60,7 @@ def test_normals_turn_with_the_crop() -> None:
     rng = np.random.default_rng(0)
     directions = set()
     for _ in range(30):
-        x, t = crops.crop(crops.Seen(turned), rng)
+        x, t = crops.training_crop(crops.Seen(turned), rng)
         inside = (t[6] > 0) & (x[4] > 0)
         nx, ny = (np.median(x[k][inside]) for k in (1, 2))
         directions.add((int(np.round(nx)), int(np.round(ny))))
@@ -69,8 +69,8 @@ def test_normals_turn_with_the_crop() -> None:
 
 def test_examples_come_back_from_their_files(tmp_path: Path) -> None:
     made = example()
-    examples.save(made, tmp_path / "a.npz")
-    back = examples.load(tmp_path / "a.npz")
+    examples.save_example(made, tmp_path / "a.npz")
+    back = examples.load_example(tmp_path / "a.npz")
     np.testing.assert_array_equal(back.x, made.x)
     np.testing.assert_array_equal(back.lump, made.lump)
     assert [p.name for p in tmp_path.iterdir()] == ["a.npz"]
@@ -102,7 +102,7 @@ def test_a_perfect_network_is_judged_perfect() -> None:
 
     row = judge.named(perfect, made, config)
     assert row.good.all()
-    found = judge.quality([(made, row)], None, 0.5)
+    found = judge.ore_quality([(made, row)], None, 0.5)
     assert (found["lumps"], found["recall"], found["false"]) == (3, 1.0, 0.0)
     assert found["overlap"] > 0.97
     assert found["recall by kind"]["alone"] == "2 of 2"
@@ -148,15 +148,15 @@ def test_the_course_goes_from_examples_to_a_model_folder(tmp_path: Path) -> None
     made = course.Course(tmp_path, seeds, (), 0.05)
     made.cache.mkdir()
     for seed in seeds:
-        examples.save(example(seed), made.cache / f"seed-{seed}-0.npz")
+        examples.save_example(example(seed), made.cache / f"seed-{seed}-0.npz")
         (made.cache / f"seed-{seed}.done").touch()
-    folder = course.train(made)
-    model = segment.load(str(folder))
+    folder = course.train_ore(made)
+    model = segment.load_lump_model(str(folder))
     assert model.card.about["made by"]["seeds"] == [95, 96]
     x = example().x.astype(np.float32)
     assert model(x).shape == (5, *SIDES)
     # A training that is over is not begun again.
-    assert course.train(made) == folder
+    assert course.train_ore(made) == folder
 
 
 def test_without_the_extra_the_package_is_named(
@@ -165,7 +165,7 @@ def test_without_the_extra_the_package_is_named(
     monkeypatch.setitem(sys.modules, "torch", None)
     monkeypatch.setattr(course, "find_spec", lambda name: None)
     with pytest.raises(ConfigError, match=r"torch is not installed.*stereo-ore\[train\]"):
-        course.train(course.Course(tmp_path, range(0), (), 1.0))
+        course.train_ore(course.Course(tmp_path, range(0), (), 1.0))
 
 
 def test_nothing_of_a_run_needs_the_extra() -> None:

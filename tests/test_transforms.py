@@ -24,7 +24,9 @@ def rigid(seed: int) -> np.ndarray:
 def test_inverse_undoes(seed: int) -> None:
     T, points = rigid(seed), np.random.default_rng(seed).normal(size=(5, 3))
     np.testing.assert_allclose(
-        transforms.apply(transforms.inverse(T), transforms.apply(T, points)), points, atol=1e-12
+        transforms.transform_points(transforms.inverse(T), transforms.transform_points(T, points)),
+        points,
+        atol=1e-12,
     )
 
 
@@ -32,7 +34,9 @@ def test_inverse_undoes(seed: int) -> None:
 @settings(deadline=None)
 def test_apply_is_homogeneous_multiplication(seed: int) -> None:
     T, point = rigid(seed), np.array([0.3, -1.0, 2.0])
-    np.testing.assert_allclose(transforms.apply(T, point), (T @ [*point, 1])[:3], atol=1e-12)
+    np.testing.assert_allclose(
+        transforms.transform_points(T, point), (T @ [*point, 1])[:3], atol=1e-12
+    )
 
 
 def test_a_direction_is_not_translated() -> None:

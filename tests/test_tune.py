@@ -20,7 +20,7 @@ from stereo_ore.lab.metrics import FilterQuality, filter_quality
 from stereo_ore.lab.training import bare_clouds, scorers, surfaces
 from stereo_ore.stages import filters
 from stereo_ore.stages.filters.adaptive import run_passes
-from stereo_ore.stages.filters.evidence import gather
+from stereo_ore.stages.filters.evidence import bare_evidence
 from stereo_ore.stages.filters.scorer import read
 
 
@@ -58,7 +58,7 @@ def test_cost_is_the_weighted_mean_of_the_losses() -> None:
 
 def test_search_finds_the_best_of_a_small_grid() -> None:
     clouds, weights = [cloud()], tune.CostWeights()
-    tuned = tune.search("statistical", clouds, weights)
+    tuned = tune.search_parameters("statistical", clouds, weights)
     space = tune.SPACES["statistical"]
     costs = {
         values: tune._mean_cost(
@@ -73,22 +73,28 @@ def test_search_finds_the_best_of_a_small_grid() -> None:
 
 def test_search_is_deterministic_and_counts() -> None:
     ticks = []
-    first = tune.search("adaptive", [cloud()], tune.CostWeights(), lambda: ticks.append(1))
-    assert first == tune.search("adaptive", [cloud()], tune.CostWeights())
+    first = tune.search_parameters(
+        "adaptive", [cloud()], tune.CostWeights(), lambda: ticks.append(1)
+    )
+    assert first == tune.search_parameters("adaptive", [cloud()], tune.CostWeights())
     assert len(ticks) == len(tune.SPACES["adaptive"]["threshold"])
 
 
 def test_weights_move_the_result() -> None:
     clouds = [cloud()]
-    careful = tune.search("adaptive", clouds, tune.CostWeights(recall=0, precision=0, retention=1))
-    greedy = tune.search("adaptive", clouds, tune.CostWeights(recall=1, precision=0, retention=0))
+    careful = tune.search_parameters(
+        "adaptive", clouds, tune.CostWeights(recall=0, precision=0, retention=1)
+    )
+    greedy = tune.search_parameters(
+        "adaptive", clouds, tune.CostWeights(recall=1, precision=0, retention=0)
+    )
     assert careful.params["threshold"] >= greedy.params["threshold"]
 
 
 @pytest.mark.parametrize("method", ["none", "adaptve"])
 def test_what_can_not_be_tuned(method: str) -> None:
     with pytest.raises(ConfigError, match="can't be tuned"):
-        tune.search(method, [cloud()], tune.CostWeights())
+        tune.search_parameters(method, [cloud()], tune.CostWeights())
 
 
 def test_command_writes_a_configuration_that_loads(labelled_csv: Path, tmp_path: Path) -> None:
@@ -123,12 +129,12 @@ def test_training_learns_and_repeats(monkeypatch: pytest.MonkeyPatch) -> None:
     recipe = scorers.Recipe(2 * ((scorers.Fit(8, 19), scorers.Fit(8, 19)),), 700, 30, 0.4)
     monkeypatch.setitem(scorers.RECIPES, "geometry", recipe)
     clouds = [cloud(seed) for seed in range(3)]
-    scorer = scorers.train(clouds, "geometry")
-    assert scorer == scorers.train(clouds, "geometry")
+    scorer = scorers.train_scorer(clouds, "geometry")
+    assert scorer == scorers.train_scorer(clouds, "geometry")
     unseen = cloud(9)
     voxels, rows = filters.prepared(unseen.voxels)
     quality = filter_quality(
-        unseen.is_noise[rows], run_passes(gather(voxels.xyz, 16), scorer) > 0.5
+        unseen.is_noise[rows], run_passes(bare_evidence(voxels.xyz, 16), scorer) > 0.5
     )
     assert quality.f1 > 0.9
 

@@ -16,7 +16,7 @@ from stereo_ore.io.calibration.geometry import make_calibration
 from stereo_ore.types import F64, U8, CameraModel, StereoCalibration
 
 FEWEST_VIEWS = 5
-OUTLIER_FACTOR = 3.0
+_OUTLIER_FACTOR = 3.0
 OUTLIER_FLOOR_PX = 0.5
 """A view is dropped when its error exceeds OUTLIER_FACTOR medians and this floor."""
 
@@ -149,7 +149,7 @@ def calibrate_stereo(
         ]
         kept = _merge(kept, rated)
         limit = max(
-            OUTLIER_FLOOR_PX, OUTLIER_FACTOR * float(np.median([view.worst_px for view in rated]))
+            OUTLIER_FLOOR_PX, _OUTLIER_FACTOR * float(np.median([view.worst_px for view in rated]))
         )
         worst = max(rated, key=lambda view: view.worst_px)
         if worst.worst_px <= limit:
@@ -251,7 +251,7 @@ def draw_coverage(result: BoardResult, path: Path) -> None:
     path.write_bytes(cv2.imencode(".png", canvas)[1].tobytes())
 
 
-def report(result: BoardResult) -> str:
+def board_report(result: BoardResult) -> str:
     """Lines of text: a row a view, then the sums."""
     rows = [f"{'view':<20} {'left px':>8} {'right px':>8} {'rows px':>8}"]
     for view in result.views:

@@ -21,7 +21,7 @@ from stereo_ore.types import F64, U8, RectifiedPair, Rig, StereoCalibration, Ste
 Matches = tuple[F64, F64]
 """Recorded pixels (N, 2) of the left and the right eye."""
 
-Verdict = Literal["good", "suspect", "wrong", "unclear"]
+_Verdict = Literal["good", "suspect", "wrong", "unclear"]
 
 CONVERGENCE_LIMIT_PX = 1.5
 CONVERGENCE_SIGMAS = 10.0
@@ -29,7 +29,7 @@ CONVERGENCE_SIGMAS = 10.0
 certain."""
 
 NEGATIVE_SHARE = 0.02
-LEAST_PX = 0.5
+_LEAST_PX = 0.5
 """A scene whose median disparity is smaller shows no depth."""
 OFFSET_SHARE = 0.01
 """Known distances are trusted to this share."""
@@ -41,7 +41,7 @@ _LEAST_LEAD = 0.05
 
 
 @dataclass(frozen=True)
-class Known:
+class KnownPoint:
     """A point whose straight distance [m] from the left eye was measured: its pixel in the recorded
     left image.
     """
@@ -53,11 +53,11 @@ class Known:
 
 @dataclass(frozen=True)
 class Measured:
-    """What the images say about a `Known`: disparities [px] and distances [m], measured and as it
-    should be.
+    """What the images say about a `KnownPoint`: disparities [px] and distances [m], measured and as
+    it should be.
     """
 
-    known: Known
+    known: KnownPoint
     disparity_px: float
     expected_px: float
     distance_m: float
@@ -69,7 +69,7 @@ class Measured:
 
 
 @dataclass(frozen=True)
-class Finding:
+class _Finding:
     """Something that is wrong or may be, with its code, and what to do."""
 
     code: str
@@ -82,19 +82,19 @@ class CheckResult:
     """The residual of the rows, what was found, and the known distances as measured."""
 
     residual: RowResidual
-    findings: tuple[Finding, ...]
+    findings: tuple[_Finding, ...]
     measured: tuple[Measured, ...]
     rig: Rig
 
     @property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> _Verdict:
         """The gravest finding."""
         severities = [finding.severity for finding in self.findings]
         return min(severities, key=("unclear", "wrong", "suspect").index, default="good")
 
 
 def check_pair(
-    pair: StereoPair, calibration: StereoCalibration, known: Sequence[Known] = ()
+    pair: StereoPair, calibration: StereoCalibration, known: Sequence[KnownPoint] = ()
 ) -> CheckResult:
     """Judge a calibration by a recorded pair.
 
@@ -141,25 +141,25 @@ def _residual(matches: Matches, calibration: StereoCalibration) -> RowResidual:
 
 def _row_findings(
     residual: RowResidual, matches: Matches, calibration: StereoCalibration, rig: Rig
-) -> Iterator[Finding]:
+) -> Iterator[_Finding]:
     if not residual.enough:
         text = (
             f"only {residual.matched} features match; take a pair of a still scene with light and"
             " texture"
         )
-        yield Finding("FEW_MATCHES", "unclear", text)
+        yield _Finding("FEW_MATCHES", "unclear", text)
         return
     swapped = residual.negative_share > 0.5
     if swapped and residual.aligned:
-        yield Finding(
+        yield _Finding(
             "SWAPPED_EYES", "wrong", "the scene lies behind the camera: left and right are swapped"
         )
     if not residual.aligned:
         text = f"rows differ by {residual.systematic_px:.2f} px, allowed are {LIMIT_PX} px"
-        yield Finding("ROWS", "wrong", text)
+        yield _Finding("ROWS", "wrong", text)
         yield from _diagnose(matches, calibration)
-    if abs(residual.disparity_px[1] + rig.doffs_px) < LEAST_PX:
-        yield Finding(
+    if abs(residual.disparity_px[1] + rig.doffs_px) < _LEAST_PX:
+        yield _Finding(
             "NO_DEPTH",
             "wrong",
             "most of the scene lies at infinity: are both pictures those of one eye?",
@@ -169,7 +169,7 @@ def _row_findings(
             f"{residual.negative_share:.0%} of the matches lie behind the camera; is there a"
             " disparity offset?"
         )
-        yield Finding("NEGATIVE_DISPARITIES", "suspect", text)
+        yield _Finding("NEGATIVE_DISPARITIES", "suspect", text)
     turn, sigma = (
         float(array[1]) * rig.fx for array in (residual.rotation_rad, residual.rotation_sigma_rad)
     )
@@ -178,17 +178,17 @@ def _row_findings(
             f"the eyes converge differently: disparities are off by {-turn:+.1f} ± {sigma:.1f} px,"
             " more at the sides"
         )
-        yield Finding("CONVERGENCE", "wrong", text)
+        yield _Finding("CONVERGENCE", "wrong", text)
 
 
-def _diagnose(matches: Matches, calibration: StereoCalibration) -> Iterator[Finding]:
+def _diagnose(matches: Matches, calibration: StereoCalibration) -> Iterator[_Finding]:
     """Which simple mistake, undone, makes the rows agree."""
     if calibration.images == "rectified":
         text = (
             "the images are not rectified as this file says: use the raw calibration with"
             " images: raw"
         )
-        yield Finding("MISSING_RECTIFICATION", "suspect", text)
+        yield _Finding("MISSING_RECTIFICATION", "suspect", text)
         return
     exchanged = matches[1], matches[0]
     inverted = replace(calibration, R_right_left=calibration.R_right_left.T)
@@ -204,7 +204,7 @@ def _diagnose(matches: Matches, calibration: StereoCalibration) -> Iterator[Find
     )
     for code, pixels, trial, text in trials:
         if (residual := _residual(pixels, trial)).aligned and residual.negative_share < 0.5:
-            yield Finding(code, "wrong", text)
+            yield _Finding(code, "wrong", text)
 
 
 def _as_rectified(calibration: StereoCalibration) -> StereoCalibration:
@@ -228,7 +228,7 @@ def _as_rectified(calibration: StereoCalibration) -> StereoCalibration:
     )
 
 
-def _measure(known: Known, pair: RectifiedPair, calibration: StereoCalibration) -> Measured:
+def _measure(known: KnownPoint, pair: RectifiedPair, calibration: StereoCalibration) -> Measured:
     rig = pair.rig
     at = rectify_points(calibration, [[known.u, known.v]], [[known.u, known.v]])[0][0]
     ray = np.array([(at[0] - rig.cx) / rig.fx, (at[1] - rig.cy) / rig.fy, 1.0])
@@ -274,7 +274,7 @@ def patch_disparity(left: U8, right: U8, at: F64, rows: int = 2) -> float | None
     return u - _PATCH - (best + step)
 
 
-def offset_findings(measured: Sequence[Measured]) -> Iterator[Finding]:
+def offset_findings(measured: Sequence[Measured]) -> Iterator[_Finding]:
     """A constant offset of the disparities or, where the distances differ enough, a wrong scale."""
     if not measured:
         return
@@ -288,14 +288,14 @@ def offset_findings(measured: Sequence[Measured]) -> Iterator[Finding]:
             f"add {offset:+.2f} to disparity_offset_px, or, if other distances disagree, mend"
             " baseline or focal length"
         )
-        yield Finding("DISPARITY_OFFSET", "wrong", f"{text}; {remedy}")
+        yield _Finding("DISPARITY_OFFSET", "wrong", f"{text}; {remedy}")
         return
     scale, constant = _line(measured)
     if np.isfinite(scale) and abs(scale - 1) > 2 * OFFSET_SHARE:
         text += f"; they are {scale:.3f} times the right ones and {constant:+.2f} px"
-        yield Finding("DISPARITY_SCALE", "wrong", f"{text}: mend focal length or baseline first")
+        yield _Finding("DISPARITY_SCALE", "wrong", f"{text}: mend focal length or baseline first")
     else:
-        yield Finding(
+        yield _Finding(
             "DISPARITY_OFFSET", "wrong", f"{text}; add {offset:+.2f} to disparity_offset_px"
         )
 

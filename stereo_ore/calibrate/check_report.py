@@ -12,7 +12,7 @@ from stereo_ore.calibrate.residual import LIMIT_PX
 from stereo_ore.types import U8
 
 
-def report(result: CheckResult) -> str:
+def check_report(result: CheckResult) -> str:
     """Lines of text: numbers, the map of row differences, known distances, findings, the
     verdict.
     """
@@ -58,7 +58,7 @@ def _metres(distance: float, digits: int = 2) -> str:
     return f"{distance:.{digits}f} m" if np.isfinite(distance) else "beyond infinity"
 
 
-def draw(result: CheckResult, left: U8, path: Path) -> None:
+def draw_check(result: CheckResult, left: U8, path: Path) -> None:
     """Write a PNG: the cells of the image, green where rows agree and red where they do not, with
     the number.
     """

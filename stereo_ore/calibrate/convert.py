@@ -7,7 +7,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from stereo_ore.errors import CalibrationError
-from stereo_ore.io.calibration.zed import SIZES
+from stereo_ore.io.calibration.zed import ZED_SIZES
 from stereo_ore.types import CameraModel, StereoCalibration
 
 BINNING = {
@@ -49,7 +49,7 @@ def convert_zed(calibration: StereoCalibration, image_size: tuple[int, int]) -> 
     scale = BINNING[source][0] / BINNING[target][0]
     return replace(
         calibration,
-        image_size=SIZES[target],
+        image_size=ZED_SIZES[target],
         left=_convert(calibration.left, source, target),
         right=_convert(calibration.right, source, target),
         disparity_offset_px=calibration.disparity_offset_px * scale,
@@ -59,9 +59,9 @@ def convert_zed(calibration: StereoCalibration, image_size: tuple[int, int]) -> 
 
 def _mode(image_size: tuple[int, int]) -> str:
     for mode in BINNING:
-        if SIZES[mode] == tuple(image_size):
+        if ZED_SIZES[mode] == tuple(image_size):
             return mode
-    sizes = ", ".join(f"{w}×{h}" for w, h in (SIZES[mode] for mode in BINNING))
+    sizes = ", ".join(f"{w}×{h}" for w, h in (ZED_SIZES[mode] for mode in BINNING))
     problem = (
         f"{image_size[0]}×{image_size[1]} is not a resolution of the ZED with a known rule"
         f" ({sizes})"

@@ -15,12 +15,12 @@ import numpy as np
 
 from stereo_ore.calibrate.detect import Board, Corners
 from stereo_ore.calibrate.points import rectify_points, triangulate
-from stereo_ore.calibrate.pose import fit_rigid, refine
+from stereo_ore.calibrate.pose import fit_rigid, refine_pose
 from stereo_ore.calibrate.touched import HandEyeResult
 from stereo_ore.errors import CalibrationError
 from stereo_ore.io.calibration.geometry import from_vector, to_vector
 from stereo_ore.stages.rectify import make_rectifier
-from stereo_ore.transforms import apply, inverse, nearest_rotation
+from stereo_ore.transforms import inverse, nearest_rotation, transform_points
 from stereo_ore.types import F64, Rig, StereoCalibration
 
 FEWEST_POSES = 3
@@ -28,7 +28,7 @@ LEAST_TURN_RAD = 0.1
 """Spread of the turns about the second axis; turns about one axis alone leave a shift along it
 open."""
 
-OUTLIER_FACTOR = 4.0
+_OUTLIER_FACTOR = 4.0
 OUTLIER_FLOOR_MM = 5.0
 ROBUST_M = 0.001
 """Distance beyond which a corner pulls with a constant force, so that a wrong pose stands out from
@@ -38,7 +38,7 @@ LIMIT_FACTOR = 6.0
 """A good fit leaves this many times the board's own residual at most; arms are less certain than
 boards."""
 
-METHODS = ("TSAI", "PARK", "HORAUD", "ANDREFF", "DANIILIDIS")
+HAND_EYE_METHODS = ("TSAI", "PARK", "HORAUD", "ANDREFF", "DANIILIDIS")
 
 Mount = Literal["fixed", "tool"]
 
@@ -83,7 +83,7 @@ def fit_hand_eye(
         X, method = _closed_form(kept, board)
         X, Y = _least_spread(X, _board_pose(X, kept, board), kept, board)
         spread = 1000 * _spread(X, Y, seen, board)
-        limit = max(OUTLIER_FLOOR_MM, OUTLIER_FACTOR * float(np.median(spread[used])))
+        limit = max(OUTLIER_FLOOR_MM, _OUTLIER_FACTOR * float(np.median(spread[used])))
         worst = int(np.argmax(np.where(used, spread, -1)))
         if spread[worst] <= limit:
             names = tuple(view.name for view in views)
@@ -108,7 +108,7 @@ def board_poses(
         ids, i, j = np.intersect1d(view.left.ids, view.right.ids, return_indices=True)
         B = _see(view, board, calibration, rig, "tool").B
         seen = triangulate(calibration, view.left.px[i], view.right.px[j])
-        squares.append(((apply(B, board.points[ids]) - seen) ** 2).sum(1))
+        squares.append(((transform_points(B, board.points[ids]) - seen) ** 2).sum(1))
         poses.append(B)
     return poses, (
         LIMIT_FACTOR * 1000 * float(np.sqrt(np.nanmean(np.concatenate(squares))))
@@ -125,7 +125,9 @@ def _see(
     left, right = rectify_points(calibration, view.left.px[i], view.right.px[j])
     K = np.array([[rig.fx, 0, rig.cx], [0, rig.fy, rig.cy], [0, 0, 1]])
     _, rotation, shift = cv2.solvePnP(corners, left, K, None)
-    B = refine(from_vector(np.concatenate([rotation, shift]).ravel()), corners, left, right, rig)
+    B = refine_pose(
+        from_vector(np.concatenate([rotation, shift]).ravel()), corners, left, right, rig
+    )
     A = inverse(view.T_arm_tool) if mount == "fixed" else view.T_arm_tool
     return _Seen(A, B)
 
@@ -161,7 +163,7 @@ def _closed_form(seen: Sequence[_Seen], board: Board) -> tuple[F64, str]:
     """X of the method with the least spread, and its name."""
     found = {"Park (own)": _park(seen)}
     if hasattr(cv2, "calibrateHandEye"):  # the Python of OpenCV 5.0.0 lacks it
-        for name in METHODS:
+        for name in HAND_EYE_METHODS:
             found[name.capitalize()] = _opencv(seen, name)
     rated = {
         name: float((_spread(X, _board_pose(X, seen, board), seen, board) ** 2).mean())
@@ -204,7 +206,7 @@ def _opencv(seen: Sequence[_Seen], method: str) -> F64:
 
 def _board_pose(X: F64, seen: Sequence[_Seen], board: Board) -> F64:
     """The mean of Y = A·X·B over the poses."""
-    placed = np.mean([apply(item.A @ X @ item.B, board.points) for item in seen], axis=0)
+    placed = np.mean([transform_points(item.A @ X @ item.B, board.points) for item in seen], axis=0)
     return fit_rigid(placed, board.points)
 
 
@@ -212,8 +214,8 @@ def _spread(X: F64, Y: F64, seen: Sequence[_Seen], board: Board) -> F64:
     """Root mean square distance [m] of the board's corners from where Y puts them, a number a
     pose.
     """
-    at = apply(Y, board.points)
-    away = [apply(item.A @ X @ item.B, board.points) - at for item in seen]
+    at = transform_points(Y, board.points)
+    away = [transform_points(item.A @ X @ item.B, board.points) - at for item in seen]
     return np.asarray(np.sqrt(np.square(away).sum(2).mean(1)), np.float64)
 
 
@@ -226,9 +228,15 @@ def _least_spread(X: F64, Y: F64, seen: Sequence[_Seen], board: Board) -> tuple[
     from scipy.optimize import least_squares
 
     def error(vector: F64) -> F64:
-        X_now, at = X @ from_vector(vector[:6]), apply(Y @ from_vector(vector[6:]), board.points)
+        X_now, at = (
+            X @ from_vector(vector[:6]),
+            transform_points(Y @ from_vector(vector[6:]), board.points),
+        )
         return np.concatenate(
-            [(apply(item.A @ X_now @ item.B, board.points) - at).ravel() for item in seen]
+            [
+                (transform_points(item.A @ X_now @ item.B, board.points) - at).ravel()
+                for item in seen
+            ]
         )
 
     best = least_squares(error, np.zeros(12), loss="soft_l1", f_scale=ROBUST_M).x

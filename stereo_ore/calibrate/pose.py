@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stereo_ore.io.calibration.geometry import from_vector
-from stereo_ore.transforms import apply, nearest_rotation
+from stereo_ore.transforms import nearest_rotation, transform_points
 from stereo_ore.types import F64, Rig
 
 
@@ -24,14 +24,14 @@ def image_error(T_camera_source: F64, points: F64, left: F64, right: F64, rig: R
     """Differences (N, 4) [px] between points as projected into both rectified images and as seen
     there (N, 2).
     """
-    seen = apply(T_camera_source, points)
+    seen = transform_points(T_camera_source, points)
     in_left = rig.project(seen)
     shift = rig.fx * rig.baseline_m / seen[:, 2:] - rig.doffs_px - rig.disparity_offset_px
     in_right = in_left - shift * [1.0, 0.0]
     return np.nan_to_num(np.hstack([in_left - left, in_right - right]), nan=1e4)
 
 
-def refine(T_camera_source: F64, points: F64, left: F64, right: F64, rig: Rig) -> F64:
+def refine_pose(T_camera_source: F64, points: F64, left: F64, right: F64, rig: Rig) -> F64:
     """The pose near a first one with the least squared `image_error`."""
     from scipy.optimize import least_squares
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 DISTANCES_M = (1.0, 2.0, 4.0, 8.0)
 
 
-def describe(calibration: StereoCalibration) -> str:
+def describe_calibration(calibration: StereoCalibration) -> str:
     """Lines of text: cameras as calibrated, the rectified rig, what it sees and how well."""
     rig = make_rectifier(calibration).rig
     sigma = MatchingConfig().sigma_px
@@ -70,7 +70,7 @@ def field_of_view(rig: Rig) -> tuple[float, float]:
     return float(across), float(down)
 
 
-def draw(calibration: StereoCalibration, path: Path) -> None:
+def draw_calibration(calibration: StereoCalibration, path: Path) -> None:
     """Write a PNG: how far rectification moves the pixels of each eye, depth noise, and the view
     from above.
     """

@@ -27,7 +27,7 @@ NEARER = (1.0, 0.8, 0.6, 0.4)
 """Shares of the points, from the nearest on, in which a screen is looked for."""
 REFINEMENTS = 3
 """Times the plane found is measured again on its bars."""
-BELOW, ABOVE = 0.5, 4.0
+BELOW, _ABOVE = 0.5, 4.0
 """Depth and height of the working volume about the bar tops, in openings."""
 
 
@@ -36,7 +36,7 @@ PLANE_OPENINGS, PLANE_DEG = 0.1, 1.5
 
 
 @dataclass(frozen=True)
-class Survey:
+class _Survey:
     """What was found: the site with plane, opening, width and volume; the screen; how many frames
     it is from; and the last pair, to show it in.
     """
@@ -49,7 +49,7 @@ class Survey:
 
 def survey(
     pairs: Iterable[RectifiedPair], site: Site, config: Config, height_m: float | None = None
-) -> Survey:
+) -> _Survey:
     """Find the screen in pairs of a still scene.
 
     Parameters
@@ -62,7 +62,7 @@ def survey(
     config : Config
         Parameters of matching, cloud and screen.
     height_m : float, optional
-        Height of the working volume over the bars; without it `ABOVE` openings.
+        Height of the working volume over the bars; without it `_ABOVE` openings.
 
     Raises
     ------
@@ -78,10 +78,10 @@ def survey(
         disparities.append(matching.match(pair, region, config.matching))
     if pair is None:
         raise FrameError("the recording has no frame", code="NO_SCREEN")
-    middle = matching.background.build(disparities).disparity
+    middle = matching.background.build_background(disparities).disparity
     still = replace(disparities[0], values=middle)
     found = _refined(still, pair, known, config, height_m)
-    return Survey(found[0], found[1], len(disparities), pair)
+    return _Survey(found[0], found[1], len(disparities), pair)
 
 
 def _refined(
@@ -145,7 +145,7 @@ def _site(
         )
     opening = screen.opening_m or bars.pitch_m - bars.width_m
     T, half = _screen_from_camera(screen.plane, bars, reach.low, reach.high)
-    top = height_m if height_m is not None else ABOVE * opening
+    top = height_m if height_m is not None else _ABOVE * opening
     volume = Volume(T, np.array([*-half, -BELOW * opening]), np.array([*half, top]))
     return replace(
         known, plane=screen.plane, opening_m=opening, bar_width_m=bars.width_m, volume=volume

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from stereo_ore.calibrate.touched import Touched
-from stereo_ore.config.validation import nearest
+from stereo_ore.config.validation import nearest_word
 from stereo_ore.errors import CalibrationError
 from stereo_ore.io.calibration.readings import PoseTable, Reading, poses
 from stereo_ore.io.yaml_io import MAX_BYTES, read_text
@@ -131,7 +131,7 @@ def _rows(path: Path, columns: Sequence[str]) -> Iterator[tuple[str, list[float]
     for column in ("name", *columns):
         if column not in header:
             raise CalibrationError(
-                f"column is missing{nearest(column, header)}", file=path, key=column
+                f"column is missing{nearest_word(column, header)}", file=path, key=column
             )
     for number, row in _lines(path)[1:]:
         cells = dict.fromkeys(header, "") | dict(zip(header, row, strict=False))

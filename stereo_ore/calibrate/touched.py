@@ -11,21 +11,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from stereo_ore.calibrate.points import rectify_points, triangulate
-from stereo_ore.calibrate.pose import fit_rigid, image_error, refine
+from stereo_ore.calibrate.pose import fit_rigid, image_error, refine_pose
 from stereo_ore.errors import CalibrationError
 from stereo_ore.io.calibration.geometry import UNITS_M
 from stereo_ore.stages.rectify import make_rectifier
-from stereo_ore.transforms import apply, inverse
+from stereo_ore.transforms import inverse, transform_points
 from stereo_ore.types import F64, Mask, StereoCalibration
 
-FEWEST_POINTS = 3
+_FEWEST_POINTS = 3
 LEAST_LIMIT_MM, GREATEST_LIMIT_MM = 5.0, 50.0
 MOST_DROPPED = 1 / 3
 LEAST_SPREAD_M = 0.02
 """Distance of the points from their common line, root mean square."""
 
-OUTLIER_PX = 3.0
-OUTLIER_FACTOR = 4.0
+_OUTLIER_PX = 3.0
+_OUTLIER_FACTOR = 4.0
 _MOST_TRIPLES = 400
 
 SAME_SCALE = 0.25
@@ -142,10 +142,10 @@ def fit_touched(points: Sequence[Touched], calibration: StereoCalibration) -> Ha
     T = min(_hypotheses(arm, seen), key=lambda T_camera_arm: float(np.median(error(T_camera_arm))))
     used = np.ones(len(points), bool)
     for _ in range(3):
-        used = error(T) <= max(OUTLIER_PX, OUTLIER_FACTOR * float(np.median(error(T))))
+        used = error(T) <= max(_OUTLIER_PX, _OUTLIER_FACTOR * float(np.median(error(T))))
         _check_spread(arm[used], "points that agree")
-        T = refine(fit_rigid(seen[used], arm[used]), arm[used], left[used], right[used], rig)
-    residual = 1000 * np.linalg.norm(apply(inverse(T), seen) - arm, axis=1)
+        T = refine_pose(fit_rigid(seen[used], arm[used]), arm[used], left[used], right[used], rig)
+    residual = 1000 * np.linalg.norm(transform_points(inverse(T), seen) - arm, axis=1)
     _check_hand(arm, seen, residual)
     names = tuple(point.name for point in points)
     own = LIMIT_SIGMAS * 1000 * float(np.median(rig.depth_sigma(seen[:, 2], TOUCH_PX)))
@@ -195,12 +195,12 @@ def _check_hand(arm: F64, seen: F64, residual_mm: F64) -> None:
     CalibrationError
         Saying so.
     """
-    if len(arm) <= FEWEST_POINTS:
+    if len(arm) <= _FEWEST_POINTS:
         return
     # A mirrored fit is a rigid one to the points with one axis turned.
     mirrored = arm * [1.0, -1.0, 1.0]
     T = fit_rigid(mirrored, seen)
-    left = 1000 * np.linalg.norm(apply(T, seen) - mirrored, axis=1)
+    left = 1000 * np.linalg.norm(transform_points(T, seen) - mirrored, axis=1)
     rms, mirrored_rms = (
         float(np.sqrt(np.mean(np.square(values)))) for values in (residual_mm, left)
     )
@@ -217,10 +217,10 @@ def _check_hand(arm: F64, seen: F64, residual_mm: F64) -> None:
 
 
 def _check_spread(points: F64, what: str) -> None:
-    if len(points) < FEWEST_POINTS:
+    if len(points) < _FEWEST_POINTS:
         remedy = "Touch at least three points, better six, spread over the screen and in height"
         raise CalibrationError(
-            f"{len(points)} {what}, {FEWEST_POINTS} are needed", key="points", remedy=remedy
+            f"{len(points)} {what}, {_FEWEST_POINTS} are needed", key="points", remedy=remedy
         )
     if not np.isfinite(points).all():
         raise CalibrationError(f"{what}: have numbers that are not finite", key="points")

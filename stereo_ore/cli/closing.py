@@ -7,13 +7,13 @@ from __future__ import annotations
 import logging
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from typing import Any
 
 import typer
 
-log = logging.getLogger(__name__)
+from stereo_ore.types import Json
 
-Json = dict[str, Any]
+_log = logging.getLogger(__name__)
+
 
 CAUSES = ("OTHER_SCENE", "EYES_DISAGREE", "ROWS_DISAGREE")
 """Reasons that explain all the others of a frame, the first before the second."""
@@ -67,7 +67,7 @@ class Closing:
     def complain(self) -> None:
         """Say of the first bad frames what is wrong with them."""
         for record in self.bad:
-            log.warning(
+            _log.warning(
                 "frame %s is %s: %s",
                 record["frame"],
                 record["status"],

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 WIDTH = 170
 
@@ -54,15 +54,15 @@ def evaluate(
 
     gates = _gates(at_least, 1) + _gates(at_most, -1)
     pairs = judge.find_pairs(results, truth)
-    shown = sys.stderr.isatty() and log.isEnabledFor(logging.INFO)
+    shown = sys.stderr.isatty() and _log.isEnabledFor(logging.INFO)
     rows: list[dict[str, Any]] = []
     for pair in track(pairs, "scenes", console=Console(stderr=True), disable=not shown):
         row = judge.score(pair.record(), pair.stages(), judge.load_truth(pair.scene), baselines)
         rows.append(row | {"ms": pair.total_ms()})
-    total = judge.pool(rows)
+    total = judge.pool_scenes(rows)
     if out:
         _write(out, rows, total)
-    _print(judge.table(rows), total)
+    _print(judge.summary_table(rows), total)
     _check(gates, total)
 
 
@@ -99,13 +99,13 @@ def _check(gates: list[tuple[str, float, int]], total: dict[str, float]) -> None
 def _write(out: Path, rows: list[dict[str, Any]], total: dict[str, float]) -> None:
     from stereo_ore.draw.figures import if_possible
     from stereo_ore.io.atomic import write_text
-    from stereo_ore.lab.evaluate.plots import draw
+    from stereo_ore.lab.evaluate.plots import draw_plots
 
     write_text(
         out / "evaluation.json",
         json.dumps(_without_nan({"total": total, "rows": rows}), indent=1) + "\n",
     )
-    if_possible(lambda: draw(rows, out / "evaluation.png"))
+    if_possible(lambda: draw_plots(rows, out / "evaluation.png"))
 
 
 def _without_nan(value: Any) -> Any:

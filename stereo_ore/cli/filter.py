@@ -13,7 +13,7 @@ from stereo_ore.errors import CloudError
 if TYPE_CHECKING:
     from stereo_ore.types import FilterResult
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
@@ -173,7 +173,7 @@ def _report(result: FilterResult) -> None:
     d = result.diagnostics
     removed = d["points"] - d["kept"]
     share = 100 * removed / max(d["points"], 1)
-    log.info(
+    _log.info(
         "%s: %s of %s points removed (%.1f %%)",
         d["method"],
         f"{removed:,}",
@@ -182,11 +182,11 @@ def _report(result: FilterResult) -> None:
     )
     if share > 100 * MUCH and d["points"]:
         milder = f"a milder --set {MILDER[d['method']]}, or " if d["method"] in MILDER else ""
-        log.warning("%.0f %% of the cloud is gone; are there good points among them (--picture)? "
+        _log.warning("%.0f %% of the cloud is gone; are there good points among them (--picture)? "
                     "Then use %sanother --method", share, milder)  # fmt: skip
     for key, words in (
         ("not_finite", "rows without finite coordinates"),
         ("duplicates", "points at the same place"),
     ):
         if d[key]:
-            log.info("%s %s", f"{d[key]:,}", words)
+            _log.info("%s %s", f"{d[key]:,}", words)

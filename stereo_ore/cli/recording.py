@@ -14,10 +14,10 @@ if TYPE_CHECKING:
     from stereo_ore.io.recordings import Source
     from stereo_ore.types import StereoCalibration
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 
-def open_recording(
+def open_for_command(
     source: Path | None,
     left: Path | None,
     right: Path | None,
@@ -39,7 +39,7 @@ def open_recording(
     raise typer.BadParameter("give both --left-topic and --right-topic, or neither")
 
 
-def calibration_of(
+def calibration_for(
     recording: Source, calib: Path | None, image_size: tuple[int, int] | None = None
 ) -> StereoCalibration:
     """The calibration given or, without one, that of the recording."""
@@ -56,5 +56,5 @@ def calibration_of(
         raise SourceError(
             "carries no calibration", file=recording.path, remedy="Give one with --calib"
         )
-    log.info("calibration: camera_info of the recording")
+    _log.info("calibration: camera_info of the recording")
     return recording.calibration

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from stereo_ore.plant.sinks.settings import SinksSettings
     from stereo_ore.types import StereoCalibration
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 Ros2Out = Annotated[
     bool,
@@ -33,7 +33,7 @@ def prefer_sourced() -> None:
     from stereo_ore.plant.ros2.install import cleaned_environment
 
     if (environment := cleaned_environment()) is not None:
-        log.debug("beginning anew with the sourced ROS 2's libraries")
+        _log.debug("beginning anew with the sourced ROS 2's libraries")
         os.execve(sys.executable, sys.orig_argv, environment)
 
 
@@ -67,9 +67,9 @@ def open_live(
             raise typer.BadParameter("give both --left-topic and --right-topic, or neither")
     source = opening.open_topics(Wanted(named, max_skew_ms, max_pixels))
     if calib is None:
-        return source, opening.calibration_of(source)
+        return source, opening.calibration_of_topics(source)
     calibration = load(calib, image_size=size, recorded_size=source.size)
-    opening.compare(source, calibration, calib)
+    opening.compare_with_topics(source, calibration, calib)
     return source, calibration
 
 

@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from stereo_ore.types import Json
+
 if TYPE_CHECKING:
     from stereo_ore.chain import Chain
     from stereo_ore.runs.run import Progress
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
-Json = dict[str, Any]
 
 TABLE_WIDTH = 130
 """Columns of the table of ores where the output is no terminal."""
@@ -123,15 +124,15 @@ def run(
     Example: `stereo-ore run recording --calib calib/zed2_hd720.yaml --site site.yaml --out out`
     """
     from stereo_ore.chain import Chain
-    from stereo_ore.cli.recording import calibration_of, open_recording
+    from stereo_ore.cli.recording import calibration_for, open_for_command
     from stereo_ore.draw.figures import require_matplotlib
     from stereo_ore.io.parameters import load_config
-    from stereo_ore.io.recordings import describe, expect_eyes, limit_pixels
+    from stereo_ore.io.recordings import describe_recording, expect_eyes, limit_pixels
     from stereo_ore.io.recordings.retimed import parse_time, retime
     from stereo_ore.io.site import load_site
     from stereo_ore.runs.identity import InputFiles
     from stereo_ore.runs.run import RunOptions, select
-    from stereo_ore.runs.run import run as run_frames
+    from stereo_ore.runs.run import run_recording as run_frames
 
     if scheduler and workers > 1:
         raise typer.BadParameter("give one of --workers and --scheduler")
@@ -144,14 +145,14 @@ def run(
     more = [f"matching.fuse={fuse}"] if fuse else []
     more += [f"models.lumps={json.dumps(str(models))}"] if models else []
     parameters = load_config(config, [*(settings or ()), *more])
-    recording = open_recording(source, left, right, (left_topic, right_topic), max_skew_ms)
+    recording = open_for_command(source, left, right, (left_topic, right_topic), max_skew_ms)
     recording = limit_pixels(recording, parameters.source.max_pixels)
-    calibration = calibration_of(recording, calib)
-    log.info("%s", describe(recording))
+    calibration = calibration_for(recording, calib)
+    _log.info("%s", describe_recording(recording))
     recording = expect_eyes(recording, calibration.image_size)
     recording = retime(recording, None if start_time is None else parse_time(start_time), fps)
     chain = Chain(calibration, load_site(site) if site else None, parameters)
-    log.info("%s", _frames(len(select(recording, chain, options))))
+    _log.info("%s", _frames(len(select(recording, chain, options))))
     announce(chain)
     with _progress() as progress:
         page = run_frames(recording, chain, out, options, InputFiles(calib, site, config), progress)
@@ -163,9 +164,9 @@ def run(
 def announce(chain: Chain) -> None:
     """Say before the first frame what the site lacks."""
     for reason in chain.withheld:
-        log.warning("%s", reason.detail)
+        _log.warning("%s", reason.detail)
     if chain.site.opening_m is None:
-        log.warning(
+        _log.warning(
             "no grizzly opening in a site file: oversize stays unknown where it can't be measured"
         )
 
@@ -183,7 +184,7 @@ def _progress() -> Iterator[Progress]:
         TimeRemainingColumn,
     )
 
-    shown = sys.stderr.isatty() and log.isEnabledFor(logging.INFO)
+    shown = sys.stderr.isatty() and _log.isEnabledFor(logging.INFO)
     columns = (
         TextColumn("frames"),
         BarColumn(),

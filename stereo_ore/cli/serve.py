@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from stereo_ore.plant.sinks.message import Origin
     from stereo_ore.types import StereoCalibration
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 RECENT = 1000
 """Frames of a run that goes on, by which the next is judged."""
@@ -251,7 +251,7 @@ def run_live(live: Live, page: int | None, page_names: Sequence[str] = ()) -> No
     from stereo_ore.plant.loop import serve as serve_frames
     from stereo_ore.plant.page import LivePage
     from stereo_ore.plant.publisher import Publisher
-    from stereo_ore.plant.status import Status
+    from stereo_ore.plant.status import PlantStatus
 
     stop = threading.Event()
     folder = live.folder
@@ -260,12 +260,12 @@ def run_live(live: Live, page: int | None, page_names: Sequence[str] = ()) -> No
         _signals(stop),
         ExitStack() as stack,
     ):
-        status = Status(live.source, publisher, live.fault)
+        status = PlantStatus(live.source, publisher, live.fault)
         if page is not None:
             shown = stack.enter_context(LivePage(page, status, folder.folder, page_names))
             typer.echo(f"live page: {shown.url}", err=True)
         for state in publisher.states():
-            log.info("%s: %s", state.name, state.address)
+            _log.info("%s: %s", state.name, state.address)
         done = serve_frames(
             live.source, live.process, folder, publisher, status, stop, live.retention
         )
@@ -278,7 +278,7 @@ def _signals(stop: threading.Event) -> Iterator[None]:
     """Ctrl-C and termination end the run after the frame in work; a second one at once."""
 
     def handle(number: int, frame: Any) -> None:
-        log.warning("stopping after the frame in work")
+        _log.warning("stopping after the frame in work")
         stop.set()
         signal.signal(number, signal.default_int_handler)
 
@@ -306,17 +306,17 @@ def _open(
     max_pixels: int,
 ) -> tuple[LiveSource, StereoCalibration]:
     """Where frames come from, and the calibration for images of their size."""
-    from stereo_ore.cli.recording import calibration_of
+    from stereo_ore.cli.recording import calibration_for
     from stereo_ore.io.calibration import load
     from stereo_ore.io.recordings import limit_pixels, open_source
     from stereo_ore.plant.camera import open_camera
-    from stereo_ore.plant.frames import Recording
+    from stereo_ore.plant.frames import ReplayedRecording
     from stereo_ore.plant.watch import FolderWatch, first_size
 
     match source, watch, camera, calib:
         case Path(), None, None, _:
             recording = limit_pixels(open_source(source), max_pixels)
-            return Recording(recording), calibration_of(recording, calib, size)
+            return ReplayedRecording(recording), calibration_for(recording, calib, size)
         case None, Folder(folder, queue, trust), None, Path():
             calibration = load(calib, image_size=size, recorded_size=first_size(folder))
             frames = FolderWatch(

@@ -65,14 +65,14 @@ def make(
     import cv2
 
     from stereo_ore.calibrate.survey import survey
-    from stereo_ore.cli.recording import calibration_of
+    from stereo_ore.cli.recording import calibration_for
     from stereo_ore.draw import site_picture
     from stereo_ore.io.parameters import load_config
     from stereo_ore.io.recordings import open_source
     from stereo_ore.io.site import SurveyRecord, load_site, save_site
     from stereo_ore.types import Site
 
-    calibration = calibration_of(open_source(source), calib)
+    calibration = calibration_for(open_source(source), calib)
     known = load_site(base) if base else Site()
     known = replace(
         known,
@@ -93,9 +93,11 @@ def make(
     with writing(out):
         save_site(found.site, out, survey=record)
     with writing(picture):
-        encoded = cv2.imencode(".png", site_picture.draw(found.pair, found.site, found.screen.bars))
+        encoded = cv2.imencode(
+            ".png", site_picture.draw_site(found.pair, found.site, found.screen.bars)
+        )
         picture.write_bytes(encoded[1].tobytes())
-    for line in site_picture.numbers(found.site):
+    for line in site_picture.site_numbers(found.site):
         typer.echo(line)
     typer.echo(f"{out}, {picture}: look at it, correct the numbers, set survey.confirmed: true")
 
@@ -113,14 +115,14 @@ def check(
     """
     from stereo_ore.calibrate.survey import differences, survey
     from stereo_ore.cli import EXIT_QUALITY
-    from stereo_ore.cli.recording import calibration_of
+    from stereo_ore.cli.recording import calibration_for
     from stereo_ore.io.parameters import load_config
     from stereo_ore.io.recordings import open_source
     from stereo_ore.io.site import load_site
     from stereo_ore.stages.health import missing_in_site, other_scene
 
     given = load_site(site)
-    calibration = calibration_of(open_source(source), calib)
+    calibration = calibration_for(open_source(source), calib)
     reasons = (*missing_in_site(given), *other_scene(given, calibration))
     doubts = [reason.detail for reason in reasons]
     found = survey(_pairs(source, calibration, frames), given, load_config(config, ()))

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 
 def register(app: typer.Typer) -> None:
@@ -51,6 +51,6 @@ def synth(
     specs = [made.sample_spec(seed + k, families[k % len(families)], size) for k in range(count)]
     if lumps is not None:
         specs = [replace(spec, lumps=lumps) for spec in specs]
-    shown = sys.stderr.isatty() and log.isEnabledFor(logging.INFO)
+    shown = sys.stderr.isatty() and _log.isEnabledFor(logging.INFO)
     for spec in track(specs, "scenes", console=Console(stderr=True), disable=not shown):
         typer.echo(made.write(made.scene(spec), out / spec.name))

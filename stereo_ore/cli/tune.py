@@ -18,7 +18,7 @@ from stereo_ore.errors import ConfigError
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 Item = TypeVar("Item")
 
 
@@ -75,7 +75,7 @@ def tune(
     tuned/config.yaml`
     """
     if train:
-        _train(out, train, Material(seeds, tuple(scene or ()), tuple(scan or ()), sets, minutes))
+        _train(out, train, _Material(seeds, tuple(scene or ()), tuple(scan or ()), sets, minutes))
     else:
         _search(out, method, cloud or [], seeds, cost)
 
@@ -102,16 +102,16 @@ def _search(out: Path, method: str, files: list[Path], seeds: int, cost: Path | 
     make_folder(out)
     with _progress() as progress:
         task = progress.add_task(f"tune {method}", total=None)
-        tuned = tuning.search(method, clouds, weights, lambda: progress.advance(task))
+        tuned = tuning.search_parameters(method, clouds, weights, lambda: progress.advance(task))
     text = yaml.safe_dump(tuned.config(), sort_keys=False)
     (out / "config.yaml").write_text(text, encoding="utf-8")
     if_possible(lambda: tuning.plot(tuned, out / "cost.png"))
-    log.info("cost %.4f on %d clouds; %s", tuned.cost, len(clouds), out / "config.yaml")
+    _log.info("cost %.4f on %d clouds; %s", tuned.cost, len(clouds), out / "config.yaml")
     typer.echo(text, nl=False)
 
 
 @dataclass(frozen=True)
-class Material:
+class _Material:
     """What there is to learn from: seeds of made things, scene folders, clean scans, a folder of
     real pairs; and for how long.
     """
@@ -123,7 +123,7 @@ class Material:
     minutes: float = 60.0
 
 
-def _train(out: Path, kind: str, material: Material) -> None:
+def _train(out: Path, kind: str, material: _Material) -> None:
     from stereo_ore.io.atomic import make_folder
     from stereo_ore.lab.bench.labelled import TUNING_SEED
 
@@ -150,40 +150,40 @@ def _train(out: Path, kind: str, material: Material) -> None:
     typer.echo(path)
 
 
-def _train_geometry(seeds: range, material: Material) -> str:
+def _train_geometry(seeds: range, material: _Material) -> str:
     """JSON of the scorer of clouds without cues, with its quality on clouds and kinds left out."""
     from stereo_ore.lab.bench.clean import scan
     from stereo_ore.lab.training import bare_clouds, provenance, scorers
 
     scans = [scan(path) for path in material.scans]
     made = bare_clouds.bare_clouds(seeds, scans)
-    scorer = scorers.train(
+    scorer = scorers.train_scorer(
         _watched(made, bare_clouds.clouds_a_seed() * len(seeds), "clouds"), "geometry"
     )
     return provenance.of_geometry(scorer, seeds, [path.name for path in material.scans]).to_json()
 
 
-def _train_stereo(seeds: range, material: Material) -> str:
+def _train_stereo(seeds: range, material: _Material) -> str:
     """JSON of the scorer of stereo clouds, with its quality on real sets left out."""
     from stereo_ore.lab.bench.stereo_sets import find_sets
     from stereo_ore.lab.training import provenance, scorers, stereo_clouds
 
     sets = list(find_sets(material.sets)) if material.sets else []
     made = stereo_clouds.stereo_clouds(sets, material.scenes, seeds)
-    clouds = _watched(made, stereo_clouds.count(sets, material.scenes, seeds), "clouds")
+    clouds = _watched(made, stereo_clouds.count_scenes(sets, material.scenes, seeds), "clouds")
     lessons = scorers.lessons(clouds, "stereo")
     scorer = scorers.fit(lessons, "stereo")
     return provenance.of_stereo(scorer, lessons).to_json()
 
 
-def _train_ore(seeds: range, material: Material, out: Path) -> Path:
+def _train_ore(seeds: range, material: _Material, out: Path) -> Path:
     """Folder of the network of lumps; its quality on screens left out is logged and in its card."""
     from stereo_ore.lab.training.ore import course
 
-    return course.train(course.Course(out, seeds, material.scenes, material.minutes))
+    return course.train_ore(course.Course(out, seeds, material.scenes, material.minutes))
 
 
-def _train_solids(seeds: range, material: Material) -> str:
+def _train_solids(seeds: range, material: _Material) -> str:
     """JSON of the solids' shape prior; its errors on scenes left out of the fit are logged."""
     from stereo_ore.lab.training import shape_prior, solids
 
@@ -191,28 +191,28 @@ def _train_solids(seeds: range, material: Material) -> str:
         sample for folder in material.scenes for sample in solids.samples(solids.recorded(folder))
     ]
     first = solids.FIRST_SEED
-    made = map(solids.made, range(first, first + len(seeds)))
+    made = map(solids.made_solids, range(first, first + len(seeds)))
     found = [
         *folders,
         *(s for scene in _watched(made, len(seeds), "scenes") for s in solids.samples(scene)),
     ]
     if not found:
         raise ConfigError("no lump was found", key="--seeds", remedy="Give more seeds or scenes")
-    prior, errors = shape_prior.train(found)
+    prior, errors = shape_prior.train_prior(found)
     for name, recorded in ("scene folders", True), ("made-up scenes", False):
         rows = [
             i for i, s in enumerate(found) if s.seen_as == "measured" and s.recorded is recorded
         ]
         if rows:
-            log.info(
+            _log.info(
                 "%s left out: %s",
                 name,
-                shape_prior.quality([found[i] for i in rows], errors[rows], prior),
+                shape_prior.prior_quality([found[i] for i in rows], errors[rows], prior),
             )
     return prior.to_json()
 
 
-def _train_confidence(_seeds: range, material: Material) -> str:
+def _train_confidence(_seeds: range, material: _Material) -> str:
     """JSON of the confidence's network; its quality on sets left out is logged."""
     from stereo_ore.config import MatchingConfig
     from stereo_ore.lab.bench import stereo_sets
@@ -224,10 +224,10 @@ def _train_confidence(_seeds: range, material: Material) -> str:
             "no set was given", key="--scene", remedy="Give folders of stereo pairs with truth"
         )
     sets = (data for folder in folders for data in stereo_sets.find_sets(folder))
-    examples = list(confidence.views(sets, MatchingConfig()))
-    network, quality = confidence.train(examples)
+    examples = list(confidence.training_views(sets, MatchingConfig()))
+    network, quality = confidence.train_confidence(examples)
     for each in quality:
-        log.info("%s left out: area under ROC %s", each.set, each.auc and round(each.auc, 3))
+        _log.info("%s left out: area under ROC %s", each.set, each.auc and round(each.auc, 3))
     return confidence.to_json(network, quality, examples, seed=0)
 
 
@@ -240,5 +240,5 @@ def _progress() -> Progress:
     from rich.console import Console
     from rich.progress import Progress
 
-    shown = sys.stderr.isatty() and log.isEnabledFor(logging.INFO)
+    shown = sys.stderr.isatty() and _log.isEnabledFor(logging.INFO)
     return Progress(console=Console(stderr=True), disable=not shown)

@@ -11,13 +11,15 @@ from pydantic import BaseModel, ValidationError
 
 from stereo_ore.errors import StereoOreError
 
-Model = TypeVar("Model", bound=BaseModel)
+_Model = TypeVar("_Model", bound=BaseModel)
 SECRETS = frozenset(("users", "password"))
 """Keys whose value an error does not repeat: where it is wrong, it may be a password in the wrong
 place."""
 
 
-def validate(model: type[Model], data: Any, file: str | Path, error: type[StereoOreError]) -> Model:
+def validate(
+    model: type[_Model], data: Any, file: str | Path, error: type[StereoOreError]
+) -> _Model:
     """Parse `data` as `model`, or raise `error` with all faults, a line each where there are
     several.
     """
@@ -38,11 +40,11 @@ def _describe(item: Any, model: type[BaseModel]) -> str:
         shown = "" if hidden else f" (given: {item['input']!r:.80})"
         too_long = key.endswith("_m") and item["type"] in ("less_than_equal", "less_than")
         return f"{key}: {item['msg']}{shown}{'; millimetres given for metres?' if too_long else ''}"
-    near = nearest(str(item["loc"][-1]), _keys_at(model, item["loc"][:-1]))
+    near = nearest_word(str(item["loc"][-1]), _keys_at(model, item["loc"][:-1]))
     return f"{key}: unknown key{near}"
 
 
-def nearest(name: str, valid: Iterable[str]) -> str:
+def nearest_word(name: str, valid: Iterable[str]) -> str:
     """A hint ``; did you mean …?`` or the list of valid names, for an error text."""
     names = sorted(valid)
     close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)

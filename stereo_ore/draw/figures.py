@@ -9,7 +9,7 @@ from typing import Any
 
 from stereo_ore.errors import MissingExtraError, OutputError
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 
 def new_figure(width_in: float, height_in: float, **options: Any) -> Any:
@@ -48,7 +48,7 @@ def if_possible(draw: Callable[[], object]) -> None:
     try:
         draw()
     except MissingExtraError as error:
-        log.warning("no picture: %s", error)
+        _log.warning("no picture: %s", error)
 
 
 def save_figure(figure: Any, path: Path, dpi: int | str = "figure") -> None:

@@ -14,15 +14,15 @@ import numpy.typing as npt
 from stereo_ore.draw.figures import new_figure, save_figure
 from stereo_ore.types import Mask
 
-SHOWN = 60_000
+_SHOWN = 60_000
 """More points than this are thinned evenly: a picture has no room for them."""
 
 LARGEST_CIRCLE = 120.0
-SURFACE, NOISE = "#4c6272", "#d62728"
-Array = npt.NDArray[Any]
+SURFACE, _NOISE = "#4c6272", "#d62728"
+_Array = npt.NDArray[Any]
 
 
-def outlier_factors(xyz: Array, score: Array, path: Path) -> None:
+def outlier_factors(xyz: _Array, score: _Array, path: Path) -> None:
     """Draw points from above, each with a red circle whose area grows with its score between the 50
     % and 99.5 % rank.
 
@@ -47,7 +47,7 @@ def outlier_factors(xyz: Array, score: Array, path: Path) -> None:
     circles = {
         "s": size * LARGEST_CIRCLE,
         "facecolors": "none",
-        "edgecolors": NOISE,
+        "edgecolors": _NOISE,
         "linewidths": 0.5,
     }
     axes.scatter(xyz[rows, across], xyz[rows, up], **circles)
@@ -55,7 +55,7 @@ def outlier_factors(xyz: Array, score: Array, path: Path) -> None:
     save_figure(figure, path)
 
 
-def side_by_side(xyz: Array, keeps: Mapping[str, Mask], path: Path) -> None:
+def side_by_side(xyz: _Array, keeps: Mapping[str, Mask], path: Path) -> None:
     """Draw what each filter keeps (grey) and removes (red), seen along the cloud's middle extent.
 
     Parameters
@@ -71,7 +71,7 @@ def side_by_side(xyz: Array, keeps: Mapping[str, Mask], path: Path) -> None:
     across, up = _view(xyz)
     figure, all_axes = panels(len(keeps))
     for axes, (title, keep) in zip(all_axes, keeps.items(), strict=True):
-        colours = np.where(keep[rows], SURFACE, NOISE)
+        colours = np.where(keep[rows], SURFACE, _NOISE)
         axes.scatter(
             xyz[rows, across],
             xyz[rows, up],
@@ -83,13 +83,13 @@ def side_by_side(xyz: Array, keeps: Mapping[str, Mask], path: Path) -> None:
     save_figure(figure, path)
 
 
-def _shown(xyz: Array) -> npt.NDArray[np.int64]:
+def _shown(xyz: _Array) -> npt.NDArray[np.int64]:
     """Finite rows, evenly thinned."""
     rows = np.flatnonzero(np.isfinite(xyz).all(1))
-    return rows[:: max(1, -(-len(rows) // SHOWN))]
+    return rows[:: max(1, -(-len(rows) // _SHOWN))]
 
 
-def _view(xyz: Array) -> tuple[int, int]:
+def _view(xyz: _Array) -> tuple[int, int]:
     """The two axes along which the cloud is widest, in order."""
     finite = xyz[np.isfinite(xyz).all(1)]
     spread = np.ptp(finite, axis=0) if len(finite) else np.zeros(3)

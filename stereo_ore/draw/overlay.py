@@ -7,7 +7,7 @@ import numpy as np
 
 from stereo_ore.types import F64, U8, ForeignBody, FrameResult, Ore, Rig
 
-RED, AMBER, GREEN, WHITE, BLACK, CYAN = (
+_RED, AMBER, _GREEN, WHITE, BLACK, CYAN = (
     (60, 60, 255),
     (40, 180, 255),
     (110, 220, 90),
@@ -16,10 +16,10 @@ RED, AMBER, GREEN, WHITE, BLACK, CYAN = (
     (255, 230, 60),
 )
 MAGENTA = (200, 60, 220)
-ARROW_LENGTH_M = 0.15
+_ARROW_LENGTH_M = 0.15
 
 
-def draw(result: FrameResult) -> U8 | None:
+def draw_overlay(result: FrameResult) -> U8 | None:
     """Outlines (oversize red, unknown amber, else green), ids, centres of gravity (+), strikes
     (arrow).
 
@@ -42,7 +42,7 @@ def draw(result: FrameResult) -> U8 | None:
 def _colour(ore: Ore) -> tuple[int, int, int]:
     if ore.solid is None or ore.solid.oversize is None:
         return AMBER
-    return RED if ore.solid.oversize else GREEN
+    return _RED if ore.solid.oversize else _GREEN
 
 
 def _draw_outline(image: U8, result: FrameResult, ore: Ore, scale: float) -> None:
@@ -62,7 +62,7 @@ def _draw_foreign(image: U8, body: ForeignBody, scale: float) -> None:
     image[inside & ((u + v) % period < period / 4)] = MAGENTA
     cv2.polylines(image, [body.outline_px], True, MAGENTA, max(1, round(2 * scale)), cv2.LINE_AA)
     u0, v0 = body.outline_px.min(0)
-    write_text(image, f"no ore: {body.name}", (int(u0), int(v0) - round(4 * scale)), scale)
+    draw_text(image, f"no ore: {body.name}", (int(u0), int(v0) - round(4 * scale)), scale)
 
 
 def _draw_marks(image: U8, rig: Rig, ore: Ore, first: bool, scale: float) -> None:
@@ -77,7 +77,7 @@ def _draw_marks(image: U8, rig: Rig, ore: Ore, first: bool, scale: float) -> Non
         )
     if ore.plan.strikes:
         strike = ore.plan.strikes[0]
-        tip, tail = strike.point, strike.point - ARROW_LENGTH_M * strike.direction
+        tip, tail = strike.point, strike.point - _ARROW_LENGTH_M * strike.direction
         thickness = max(1, round((3 if first else 2) * scale))
         cv2.arrowedLine(
             image, _pixel(rig, tail), _pixel(rig, tip), WHITE, thickness, cv2.LINE_AA, tipLength=0.3
@@ -89,7 +89,7 @@ def _draw_marks(image: U8, rig: Rig, ore: Ore, first: bool, scale: float) -> Non
         if ore.solid is None
         else f" {1000 * ore.solid.size_m[0]:.0f}x{1000 * ore.solid.size_m[1]:.0f} mm"
     )
-    write_text(image, f"{ore.id}{size}", (u + round(8 * scale), v - round(8 * scale)), scale)
+    draw_text(image, f"{ore.id}{size}", (u + round(8 * scale), v - round(8 * scale)), scale)
 
 
 def _draw_banner(image: U8, result: FrameResult, scale: float) -> None:
@@ -99,10 +99,10 @@ def _draw_banner(image: U8, result: FrameResult, scale: float) -> None:
         *(reason.code for reason in result.reasons),
     ]
     for row, line in enumerate(lines):
-        write_text(image, line, (round(10 * scale), round((24 + 22 * row) * scale)), scale)
+        draw_text(image, line, (round(10 * scale), round((24 + 22 * row) * scale)), scale)
 
 
-def write_text(image: U8, text: str, at: tuple[int, int], scale: float) -> None:
+def draw_text(image: U8, text: str, at: tuple[int, int], scale: float) -> None:
     """White with a dark rim; the rim is the same text shifted, for a bolder font would be wider."""
     rim = max(1, round(scale))
     around = [(dx * rim, dy * rim, BLACK) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]

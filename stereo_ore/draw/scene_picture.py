@@ -14,17 +14,17 @@ from stereo_ore.draw.figures import new_figure
 from stereo_ore.transforms import frame_from_normal
 from stereo_ore.types import F64, U8, Bars, FrameResult, Grizzly, Ore, Surface
 
-OVERSIZE, UNKNOWN, PASSES = "#d62f2f", "#e8962e", "#3f9b52"
+_OVERSIZE, _UNKNOWN, PASSES = "#d62f2f", "#e8962e", "#3f9b52"
 INCHES, DPI = (10.0, 7.5), 100
 ELEVATION_DEG, AZIMUTH_DEG = 38.0, -60.0
 SURFACE_POINTS = 6000
-MARGIN = 0.12
+_MARGIN = 0.12
 """Space around the solids as share of their extent."""
-ARROW = 0.12
+_ARROW = 0.12
 """Length of a strike's arrow as share of the picture's extent."""
 
 
-def draw(result: FrameResult) -> U8 | None:
+def draw_scene(result: FrameResult) -> U8 | None:
     """Draw the solids (oversize red, unknown amber, else green) with centres of gravity and strikes
     as arrows.
 
@@ -62,7 +62,7 @@ def draw(result: FrameResult) -> U8 | None:
             ore,
             screen,
             first=ore.id in result.targets[:1],
-            arrow=ARROW * float((high - low).max()),
+            arrow=_ARROW * float((high - low).max()),
         )
     _finish(
         axes, low, high, f"{result.name}: {len(result.ores)} ores, {len(result.targets)} targets"
@@ -92,7 +92,7 @@ def _bounds(hulls: Sequence[F64]) -> tuple[F64, F64]:
     points = np.concatenate([*hulls, np.empty((0, 3))])
     if not len(points):
         return np.full(3, -0.5), np.full(3, 0.5)
-    margin = MARGIN * np.ptp(points, axis=0).max()
+    margin = _MARGIN * np.ptp(points, axis=0).max()
     return points.min(0) - margin, points.max(0) + margin
 
 
@@ -129,7 +129,7 @@ def _draw_ore(axes: Any, ore: Ore, screen: _Screen, first: bool, arrow: float) -
     from scipy.spatial import ConvexHull
 
     if ore.solid is not None:
-        colour = {True: OVERSIZE, None: UNKNOWN, False: PASSES}[ore.solid.oversize]
+        colour = {True: _OVERSIZE, None: _UNKNOWN, False: PASSES}[ore.solid.oversize]
         vertices = screen.place(ore.solid.vertices)
         axes.plot_trisurf(
             *vertices.T,

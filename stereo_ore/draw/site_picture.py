@@ -7,14 +7,14 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 
-from stereo_ore.draw.overlay import AMBER, CYAN, WHITE, write_text
+from stereo_ore.draw.overlay import AMBER, CYAN, WHITE, draw_text
 from stereo_ore.types import F64, U8, Bars, Plane, RectifiedPair, Rig, Site, Volume
 
 STEPS = 60
 """Pieces of a line, each drawn where it is before the camera."""
 
 
-def draw(pair: RectifiedPair, site: Site, bars: Bars | None) -> U8:
+def draw_site(pair: RectifiedPair, site: Site, bars: Bars | None) -> U8:
     """Edges of the bars (white), the working volume's floor at the bar tops (cyan) and its lid
     (amber), and the numbers.
     """
@@ -26,12 +26,12 @@ def draw(pair: RectifiedPair, site: Site, bars: Bars | None) -> U8:
     if site.plane is not None and site.volume is not None and bars is not None:
         for start, end in _bar_edges(site.plane, site.volume, bars):
             _line(image, pair.rig, start, end, WHITE, scale)
-    for row, text in enumerate(numbers(site)):
-        write_text(image, text, (round(10 * scale), round((24 + 22 * row) * scale)), scale)
+    for row, text in enumerate(site_numbers(site)):
+        draw_text(image, text, (round(10 * scale), round((24 + 22 * row) * scale)), scale)
     return image
 
 
-def numbers(site: Site) -> Iterator[str]:
+def site_numbers(site: Site) -> Iterator[str]:
     """What a person can measure on the screen itself."""
     if site.opening_m is not None and site.bar_width_m is not None:
         yield f"opening {1000 * site.opening_m:.0f} mm, bars {1000 * site.bar_width_m:.0f} mm wide"

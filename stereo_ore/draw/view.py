@@ -16,19 +16,20 @@ import numpy.typing as npt
 from stereo_ore.errors import MissingExtraError, OutputError
 from stereo_ore.io import clouds
 from stereo_ore.io.atomic import guarded
-from stereo_ore.io.results import Json, Results
+from stereo_ore.io.results import Results
+from stereo_ore.types import Json
 
 if TYPE_CHECKING:
     from rerun import RecordingStream
 
-RED, GREEN, AMBER, CYAN, WHITE = (
+_RED, _GREEN, _AMBER, _CYAN, _WHITE = (
     (230, 60, 60),
     (90, 220, 110),
     (255, 180, 40),
     (60, 220, 255),
     (255, 255, 255),
 )
-ARROW_LENGTH_M = 0.25
+_ARROW_LENGTH_M = 0.25
 POINT_RADIUS_PX = 1.5
 
 
@@ -150,7 +151,7 @@ def _log_stages(stream: RecordingStream, stages: Mapping[str, npt.NDArray[Any]])
 
     stream.log("camera/disparity", rr.DepthImage(np.nan_to_num(stages["disparity"]), meter=1.0))
     stream.log("camera/ore_map", rr.SegmentationImage(stages["ore_map"].astype(np.uint16)))
-    stream.log("world/frame/removed", _points(stages["voxel_xyz"][~stages["keep"]], RED))
+    stream.log("world/frame/removed", _points(stages["voxel_xyz"][~stages["keep"]], _RED))
 
 
 def _log_ores(stream: RecordingStream, record: Json) -> None:
@@ -167,25 +168,25 @@ def _log_ores(stream: RecordingStream, record: Json) -> None:
             centers=[ore["box"]["camera"]["centre"] for ore in solids],
             half_sizes=np.array([ore["box"]["extent_m"] for ore in solids]) / 2,
             quaternions=Rotation.from_matrix(axes).as_quat(),
-            colors=[{True: RED, False: GREEN, None: AMBER}[ore["oversize"]] for ore in solids],
+            colors=[{True: _RED, False: _GREEN, None: _AMBER}[ore["oversize"]] for ore in solids],
             labels=[_label(ore) for ore in solids],
         )
         stream.log("world/frame/ores", boxes)
         stream.log(
             "world/frame/centres",
-            _points([ore["centre_of_gravity"]["camera"] for ore in solids], CYAN, 6),
+            _points([ore["centre_of_gravity"]["camera"] for ore in solids], _CYAN, 6),
         )
     ranks = {id: rank for rank, id in enumerate(record["targets"], 1)}
     struck = [ore for ore in record["ores"] if ore["strike"] and ore["id"] in ranks]
     if struck:
-        vectors = ARROW_LENGTH_M * np.array(
+        vectors = _ARROW_LENGTH_M * np.array(
             [ore["strike"]["direction"]["camera"] for ore in struck]
         )
         tips = np.array([ore["strike"]["point"]["camera"] for ore in struck])
         labels = [f"target {ranks[ore['id']]}" for ore in struck]
         stream.log(
             "world/frame/targets",
-            rr.Arrows3D(origins=tips - vectors, vectors=vectors, colors=WHITE, labels=labels),
+            rr.Arrows3D(origins=tips - vectors, vectors=vectors, colors=_WHITE, labels=labels),
         )
 
 

@@ -12,16 +12,17 @@ from typing import Any
 from stereo_ore.errors import MissingExtraError, OutputError
 from stereo_ore.export.ros_types import VISION_MSGS
 from stereo_ore.io.atomic import guarded
-from stereo_ore.io.results import Json, Results
+from stereo_ore.io.results import Results
 from stereo_ore.io.ros_frame import Base, RosFrame, Types
 from stereo_ore.record import to_line
+from stereo_ore.types import Json
 
-STATIC = "/tf_static"
+_STATIC = "/tf_static"
 UNKNOWN_PERIOD_NS = 1_000_000_000
 """Frames without a stamp are put this far apart, from the beginning of time on: no stamp is made up
 that looks real."""
 
-Message = tuple[str, Any]
+_Message = tuple[str, Any]
 """Topic and message."""
 
 
@@ -62,7 +63,7 @@ def write_mcap(results: Results, path: Path) -> Path:
                     results, record, store.types, first=record is records[0]
                 ):
                     if topic not in connections:
-                        offered = _latched() if topic == STATIC else ()
+                        offered = _latched() if topic == _STATIC else ()
                         connections[topic] = bag.add_connection(
                             topic,
                             message.__msgtype__,
@@ -123,11 +124,11 @@ def stamp_of(record: Json) -> int:
     )
 
 
-def _messages(results: Results, record: Json, types: Types, first: bool) -> Iterable[Message]:
+def _messages(results: Results, record: Json, types: Types, first: bool) -> Iterable[_Message]:
     """All messages of a frame."""
     ros, frame = RosFrame(types, stamp_of(record)), record["frame"]
     if first and results.site.T_arm_camera is not None:
-        yield STATIC, ros.transform(results.site.T_arm_camera)
+        yield _STATIC, ros.transform(results.site.T_arm_camera)
     if (cloud := results.cloud(frame)) is not None:
         yield "/stereo_ore/cloud", ros.cloud(cloud)
     yield "/stereo_ore/ores", ros.detections(record)

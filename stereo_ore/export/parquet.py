@@ -18,12 +18,13 @@ from typing import TYPE_CHECKING, Any
 from stereo_ore.errors import MissingExtraError, OutputError
 from stereo_ore.io.atomic import guarded, make_folder
 from stereo_ore.io.ore_table import FIELDS, ore_row
-from stereo_ore.io.results import Json, Results
+from stereo_ore.io.results import Results
+from stereo_ore.types import Json
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-SCHEMA = "stereo_ore/parquet/2"
+_SCHEMA = "stereo_ore/parquet/2"
 NO_DAY = "undated"
 """Folder of frames without a stamp. No folder is named key=value: readers disagree on the type of
 such a date."""
@@ -31,8 +32,8 @@ EARLIER = "date=*"
 """Folders of version 1, whose date was in their names only: pandas can't read them when a date is
 missing."""
 
-COUNTS = ("pixels", "disparities", "points", "voxels", "kept", "ores", "targets")
-UNITS = {"_m": "m", "_m3": "m³", "_deg": "degree"}
+_COUNTS = ("pixels", "disparities", "points", "voxels", "kept", "ores", "targets")
+_UNITS = {"_m": "m", "_m3": "m³", "_deg": "degree"}
 FRAMES_A_GROUP = 1000
 """Frames whose rows are held in memory, and written as one row group."""
 
@@ -64,7 +65,7 @@ TABLES = {
         "grizzly_source": "string",
         **dict.fromkeys(("grizzly_offset_m", "grizzly_rms_m"), "float64"),
         **{f"grizzly_normal_{axis}": "float64" for axis in "xyz"},
-        **dict.fromkeys(COUNTS, "int64"),
+        **dict.fromkeys(_COUNTS, "int64"),
     },
 }
 """Columns and types of each table. Of a column that is null in all rows the type stays the same."""
@@ -135,7 +136,7 @@ def _rows(records: Iterable[Json], labels: Json) -> dict[Place, list[Json]]:
 
 def _frame_row(record: Json) -> Json:
     row = {"status": record["status"], "reasons": [reason["code"] for reason in record["reasons"]]}
-    row |= {name: record["counts"][name] for name in COUNTS}
+    row |= {name: record["counts"][name] for name in _COUNTS}
     if grizzly := record["grizzly"]:
         row |= {f"grizzly_{key}": grizzly[key] for key in ("source", "offset_m", "rms_m")}
         row |= {
@@ -231,9 +232,9 @@ def schema_of(table: str) -> pa.Schema:
         )
         for name, kind in TABLES[table].items()
     ]
-    return pa.schema(fields, metadata={"schema": SCHEMA, "table": table})
+    return pa.schema(fields, metadata={"schema": _SCHEMA, "table": table})
 
 
 def _unit(name: str) -> dict[str, str] | None:
-    unit = next((unit for suffix, unit in UNITS.items() if name.endswith(suffix)), None)
+    unit = next((unit for suffix, unit in _UNITS.items() if name.endswith(suffix)), None)
     return {"unit": unit} if unit else None

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from stereo_ore.errors import OutputError
 
-REMEDY = "Check path, space and permissions"
+_REMEDY = "Check path, space and permissions"
 
 
 def write_bytes(path: Path, data: bytes) -> None:
@@ -46,7 +46,9 @@ def in_one_step(path: Path, write: Callable[[Path], object]) -> None:
         os.replace(temporary, path)
     except OSError as fault:
         temporary.unlink(missing_ok=True) if temporary.parent.is_dir() else None
-        raise OutputError(f"can't be written: {fault.strerror}", file=path, remedy=REMEDY) from None
+        raise OutputError(
+            f"can't be written: {fault.strerror}", file=path, remedy=_REMEDY
+        ) from None
 
 
 def write_text(path: Path, text: str) -> None:
@@ -67,7 +69,9 @@ def guarded(path: Path, action: Callable[[], object]) -> None:
     try:
         action()
     except OSError as fault:
-        raise OutputError(f"can't be written: {fault.strerror}", file=path, remedy=REMEDY) from None
+        raise OutputError(
+            f"can't be written: {fault.strerror}", file=path, remedy=_REMEDY
+        ) from None
 
 
 def remove_leftovers(folder: Path) -> None:

@@ -9,12 +9,12 @@ import numpy as np
 from pydantic import Field
 
 from stereo_ore.config.fields import Number, Positive, Section
-from stereo_ore.transforms import apply, inverse
+from stereo_ore.transforms import inverse, transform_points
 from stereo_ore.types import F64, Capsule, KeepOut, Polygon, Volume
 
-Vector = tuple[Number, Number, Number]
+_Vector = tuple[Number, Number, Number]
 Pixel = tuple[Number, Number]
-Frame = Literal["arm", "camera"]
+_Frame = Literal["arm", "camera"]
 Name = Annotated[str, Field(min_length=1, max_length=60)]
 
 
@@ -23,9 +23,9 @@ class BoxOut(Section):
 
     name: Name
     shape: Literal["box"]
-    frame: Frame
-    min_m: Vector
-    max_m: Vector
+    frame: _Frame
+    min_m: _Vector
+    max_m: _Vector
 
 
 class RodOut(Section):
@@ -33,9 +33,9 @@ class RodOut(Section):
 
     name: Name
     shape: Literal["capsule", "cylinder"]
-    frame: Frame
-    from_m: Vector
-    to_m: Vector
+    frame: _Frame
+    from_m: _Vector
+    to_m: _Vector
     radius_m: Positive
 
 
@@ -82,7 +82,7 @@ def in_camera(entry: Entry, T_arm_camera: F64 | None) -> KeepOut:
     T = T_arm_camera if entry.frame == "arm" and T_arm_camera is not None else np.eye(4)
     if isinstance(entry, BoxOut):
         return KeepOut(entry.name, Volume(T, np.array(entry.min_m), np.array(entry.max_m)))
-    start, end = (apply(inverse(T), point) for point in (entry.from_m, entry.to_m))
+    start, end = (transform_points(inverse(T), point) for point in (entry.from_m, entry.to_m))
     return KeepOut(entry.name, Capsule(start, end, entry.radius_m, entry.shape == "cylinder"))
 
 

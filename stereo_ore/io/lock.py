@@ -15,7 +15,7 @@ try:
 except ImportError:  # Windows: folders can't be locked there
     fcntl = None  # type: ignore[assignment]
 
-REMEDY = "Stop that program, or name another folder"
+_REMEDY = "Stop that program, or name another folder"
 
 
 class FolderLock:
@@ -44,7 +44,7 @@ class FolderLock:
             os.close(handle)
             if fault.errno in (errno.EWOULDBLOCK, errno.EACCES):
                 problem = "is in use by another stereo-ore"
-                raise OutputError(problem, file=folder, remedy=REMEDY) from None
+                raise OutputError(problem, file=folder, remedy=_REMEDY) from None
         else:
             self._handle = handle
 

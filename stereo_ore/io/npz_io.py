@@ -24,16 +24,16 @@ less."""
 LARGEST_SHOWN = 10**30
 """Python refuses to write numbers of thousands of digits."""
 
-Array = npt.NDArray[Any]
+_Array = npt.NDArray[Any]
 
 
-def load_array(path: Path, error: type[StereoOreError]) -> Array:
+def load_array(path: Path, error: type[StereoOreError]) -> _Array:
     """The array of an NPY file; `error` for anything that is none."""
     with _known_faults(path, error, "NPY"), path.open("rb") as file:
         return _array(file, path.stat().st_size, path, error)
 
 
-def load_arrays(path: Path, error: type[StereoOreError]) -> dict[str, Array]:
+def load_arrays(path: Path, error: type[StereoOreError]) -> dict[str, _Array]:
     """The arrays of an NPZ file by name; `error` for anything that is none."""
     with _known_faults(path, error, "NPZ"), zipfile.ZipFile(path) as archive:
         entries = archive.infolist()
@@ -47,7 +47,7 @@ def load_arrays(path: Path, error: type[StereoOreError]) -> dict[str, Array]:
         return arrays
 
 
-def _array(file: BinaryIO, size: int, path: Path, error: type[StereoOreError]) -> Array:
+def _array(file: BinaryIO, size: int, path: Path, error: type[StereoOreError]) -> _Array:
     """One array, after its header was found to fit the bytes that are there."""
     version = np.lib.format.read_magic(file)
     read_header = {

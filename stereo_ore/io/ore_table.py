@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from stereo_ore.times import utc
+from stereo_ore.types import Json
 
 FIELDS = (
     "frame",
@@ -30,8 +31,6 @@ FIELDS = (
     "stamp_source",
 )
 """Columns of ores.csv; units are in the names."""
-
-Json = dict[str, Any]
 
 
 def ores_csv(frames: Path) -> Iterator[str]:

@@ -22,7 +22,7 @@ LARGEST_INTEGER = 2**63
 FRAME_NAME = re.compile(r"(?!\.)[\w.-]{1,200}", re.ASCII)
 """Names of frames are names of files: a foreign record must not lead out of the run's folder."""
 
-TYPES: Mapping[str, Callable[[Any], bool]] = {
+_TYPES: Mapping[str, Callable[[Any], bool]] = {
     "object": lambda value: isinstance(value, dict),
     "array": lambda value: isinstance(value, list),
     "string": lambda value: isinstance(value, str),
@@ -123,7 +123,7 @@ def _items(schema: Mapping[str, Any], definitions: Mapping[str, Any]) -> Check:
 
 
 KEYWORDS: Mapping[str, Callable[[Mapping[str, Any], Mapping[str, Any]], Check]] = {
-    "type": _simple(lambda value, name: TYPES[name](value), "type"),
+    "type": _simple(lambda value, name: _TYPES[name](value), "type"),
     "const": _simple(lambda value, wanted: bool(value == wanted), "const"),
     "enum": _simple(lambda value, allowed: value in allowed, "enum"),
     "anyOf": _any_of,

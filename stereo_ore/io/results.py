@@ -25,9 +25,8 @@ from stereo_ore.io.segments import line_files
 from stereo_ore.io.site import load_site
 from stereo_ore.record import SCHEMA
 from stereo_ore.stages.rectify import make_rectifier
-from stereo_ore.types import Rig, Site
+from stereo_ore.types import Json, Rig, Site
 
-Json = dict[str, Any]
 CLOUD_COLUMNS = ("x", "y", "z", "red", "green", "blue", "ore_id", "score")
 STAGE_KINDS = {
     "disparity": "f",

@@ -10,11 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from stereo_ore.io import clouds
-from stereo_ore.types import F64
+from stereo_ore.types import F64, JsonMapping
 
-Json = Mapping[str, Any]
-
-CAMERA_FRAME, ARM_FRAME = "left_rectified", "arm"
+_CAMERA_FRAME, ARM_FRAME = "left_rectified", "arm"
 Base = Literal["camera", "arm"]
 
 _POINT_KINDS = {"f4": 7, "i4": 5}  # PointField.FLOAT32, INT32: four bytes each
@@ -55,7 +53,7 @@ class RosFrame:
         self,
         types: Types,
         stamp_ns: int,
-        frames: tuple[str, str] = (CAMERA_FRAME, ARM_FRAME),
+        frames: tuple[str, str] = (_CAMERA_FRAME, ARM_FRAME),
         octets: Callable[[bytes | memoryview], Any] = as_array,
     ) -> None:
         self.types, self.octets = types, octets
@@ -106,7 +104,7 @@ class RosFrame:
             is_dense=True,
         )
 
-    def detections(self, record: Json) -> Any:
+    def detections(self, record: JsonMapping) -> Any:
         """Detection3DArray of the lumps' boxes, in the camera's frame."""
         solids = [ore for ore in record["ores"] if ore["box"]]
         return self.types["vision_msgs/msg/Detection3DArray"](
@@ -114,7 +112,7 @@ class RosFrame:
             detections=[self._detection(ore) for ore in solids],
         )
 
-    def _detection(self, ore: Json) -> Any:
+    def _detection(self, ore: JsonMapping) -> Any:
         box = ore["box"]["camera"]
         axes = box_axes(ore)
         pose = self.pose(box["centre"], axes)
@@ -133,7 +131,7 @@ class RosFrame:
             header=self.header(self.camera_frame), results=[result], bbox=bounds, id=str(ore["id"])
         )
 
-    def targets(self, record: Json, base: Base, ids: Sequence[int]) -> Any:
+    def targets(self, record: JsonMapping, base: Base, ids: Sequence[int]) -> Any:
         """PoseArray of the strikes of the lumps `ids` in the frame of `base`; x along the way of
         the tool.
         """
@@ -195,7 +193,7 @@ def quaternion(rotation: F64) -> tuple[float, float, float, float]:
     return x, y, z, w
 
 
-def box_axes(ore: Json) -> F64:
+def box_axes(ore: JsonMapping) -> F64:
     """Axes (3, 3), as columns, of a lump's box: a rotation, in the camera's frame."""
     axes = np.array(ore["box"]["camera"]["axes"], np.float64).T
     axes[:, 2] *= np.sign(np.linalg.det(axes))
@@ -213,7 +211,7 @@ def x_along(direction: npt.ArrayLike) -> F64:
     return np.stack([along / np.linalg.norm(along), y, np.cross(along, y)], 1)
 
 
-def _covariance(ore: Json) -> F64:
+def _covariance(ore: JsonMapping) -> F64:
     """(36,) covariance of the centre of gravity; the rotation's is unknown, which ROS writes as −1
     at its place.
     """

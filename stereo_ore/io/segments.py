@@ -13,8 +13,8 @@ NAME = re.compile(r"\.?(\d{6,})_(\d{4}-\d\d-\d\d)", re.ASCII)
 
 
 def name(number: int, day: str) -> str:
-    """The folder's name of segment `number`, begun on `day` (``2026-11-30``)."""
-    return f"{number:06d}_{day}"
+    """The folder's name of segment `segment_number`, begun on `day` (``2026-11-30``)."""
+    return f"{segment_number:06d}_{day}"
 
 
 def closed(folder: Path) -> list[Path]:
@@ -23,10 +23,12 @@ def closed(folder: Path) -> list[Path]:
         found = [(NAME.fullmatch(file.name), file) for file in (folder / FOLDER).iterdir()]
     except OSError:
         return []
-    return sorted((file for match, file in found if match and not file.is_symlink()), key=number)
+    return sorted(
+        (file for match, file in found if match and not file.is_symlink()), key=segment_number
+    )
 
 
-def number(part: Path) -> int:
+def segment_number(part: Path) -> int:
     """The number of a segment."""
     return int(part.name.lstrip(".").partition("_")[0])
 

@@ -19,10 +19,10 @@ from stereo_ore.io.yaml_io import load_yaml
 from stereo_ore.transforms import inverse, nearest_rotation, rotate, rotation_fault
 from stereo_ore.types import F64, Plane, Site, Survey, Volume
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
-FORMAT = "stereo_ore/site"
-FARTHEST_M = 25.0
+_FORMAT = "stereo_ore/site"
+_FARTHEST_M = 25.0
 """Coordinates of camera, volume, reach and plane: a screen has a few metres, a great arm twenty."""
 
 OPENING_M, BAR_WIDTH_M = (0.005, 3.0), (0.001, 1.0)
@@ -33,23 +33,23 @@ TYPED_TOLERANCE = 1e-3
 
 
 Length = Annotated[Number, Field(gt=0)]
-Vector = tuple[Number, Number, Number]
-Row = tuple[Number, Number, Number, Number]
-Frame = Literal["arm", "camera"]
+_Vector = tuple[Number, Number, Number]
+_Row = tuple[Number, Number, Number, Number]
+_Frame = Literal["arm", "camera"]
 
 
 class _Box(Section):
-    min_m: Vector
-    max_m: Vector
+    min_m: _Vector
+    max_m: _Vector
 
 
 class _Volume(_Box):
-    frame: Frame | Literal["screen"]
+    frame: _Frame | Literal["screen"]
 
 
 class _Plane(Section):
-    frame: Frame
-    normal: Vector
+    frame: _Frame
+    normal: _Vector
     offset_m: Number
 
 
@@ -91,9 +91,9 @@ class SurveyRecord(Section):
 class _File(Section):
     format: Literal["stereo_ore/site"]
     version: Literal[1]
-    arm_from_camera: tuple[Row, Row, Row, Row] | None = None
-    tool_from_camera: tuple[Row, Row, Row, Row] | None = None
-    screen_from_camera: tuple[Row, Row, Row, Row] | None = None
+    arm_from_camera: tuple[_Row, _Row, _Row, _Row] | None = None
+    tool_from_camera: tuple[_Row, _Row, _Row, _Row] | None = None
+    screen_from_camera: tuple[_Row, _Row, _Row, _Row] | None = None
     working_volume: _Volume | None = None
     grizzly: _Grizzly = _Grizzly()
     background: str | None = None
@@ -124,7 +124,7 @@ def load_site(path: str | Path) -> Site:
             file=path,
         )
     if file.tool_from_camera is not None and file.arm_from_camera is None:
-        log.warning(
+        _log.warning(
             "%s: the camera is on the tool and moves with the arm: no arm coordinates", path
         )
     return site
@@ -158,7 +158,7 @@ def _faults(file: _File) -> list[str]:
     return found
 
 
-def _transforms(file: _File) -> Iterator[tuple[str, tuple[Row, ...] | None]]:
+def _transforms(file: _File) -> Iterator[tuple[str, tuple[_Row, ...] | None]]:
     for name in ("arm_from_camera", "tool_from_camera", "screen_from_camera"):
         yield name, getattr(file, name)
 
@@ -175,17 +175,17 @@ def _transform_faults(name: str, T: F64) -> list[str]:
 def _length_faults(file: _File) -> list[str]:
     """Lengths that no site has: each is asked for its unit."""
     lengths = [
-        (f"{name}.{end}", getattr(box, end), 0.0, FARTHEST_M)
+        (f"{name}.{end}", getattr(box, end), 0.0, _FARTHEST_M)
         for name, box in (("working_volume", file.working_volume), ("reach", file.reach))
         if box
         for end in ("min_m", "max_m")
     ]
     for name, rows in _transforms(file):
-        lengths += [] if rows is None else [(name, [row[3] for row in rows[:3]], 0.0, FARTHEST_M)]
-    lengths += [(*entry, 0.0, FARTHEST_M) for entry in places.lengths(file.keep_out)]
+        lengths += [] if rows is None else [(name, [row[3] for row in rows[:3]], 0.0, _FARTHEST_M)]
+    lengths += [(*entry, 0.0, _FARTHEST_M) for entry in places.lengths(file.keep_out)]
     grizzly = file.grizzly
     if grizzly.plane and any(grizzly.plane.normal):
-        lengths.append(("grizzly.plane.offset_m", [_offset(grizzly.plane)], 0.0, FARTHEST_M))
+        lengths.append(("grizzly.plane.offset_m", [_offset(grizzly.plane)], 0.0, _FARTHEST_M))
     for name, value, limits in (
         ("opening_m", grizzly.opening_m, OPENING_M),
         ("bar_width_m", grizzly.bar_width_m, BAR_WIDTH_M),
@@ -300,7 +300,7 @@ def save_site(
     arm's, or one of its own, which is then called the screen's.
     """
     path = Path(path)
-    document: dict[str, Any] = {"format": FORMAT, "version": 1}
+    document: dict[str, Any] = {"format": _FORMAT, "version": 1}
     if site.T_arm_camera is not None:
         document["arm_from_camera"] = site.T_arm_camera.tolist()
     if site.volume is not None:
@@ -343,7 +343,7 @@ def save_arm(
         When `base` is no site file, or does not fit the new transform.
     """
     path = Path(path)
-    document = {"format": FORMAT, "version": 1}
+    document = {"format": _FORMAT, "version": 1}
     if base is not None:
         document = load_yaml(Path(base), ConfigError)
         validate(_File, document, base, ConfigError)

@@ -13,7 +13,7 @@ MAX_BYTES = 1_000_000
 """A megabyte of YAML takes a quarter of a minute; files written by hand or by a camera have
 kilobytes."""
 
-LONGEST_NUMBER = 400
+_LONGEST_NUMBER = 400
 """Characters of a number; Python takes time that grows with their square."""
 
 
@@ -43,7 +43,7 @@ class _StrictLoader(yaml.SafeLoader):
         return all(isinstance(part, yaml.ScalarNode) for part in parts)
 
     def construct_scalar(self, node: Any) -> Any:
-        if node.tag.endswith((":int", ":float")) and len(node.value) > LONGEST_NUMBER:
+        if node.tag.endswith((":int", ":float")) and len(node.value) > _LONGEST_NUMBER:
             raise yaml.MarkedYAMLError(None, None, "a number has too many digits", node.start_mark)
         return super().construct_scalar(node)  # type: ignore[no-untyped-call,unused-ignore]
 

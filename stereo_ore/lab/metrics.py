@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from stereo_ore.types import F32, F64, Mask
 
-NEAR_PX, NEAR_DISPARITY_PX = 2, 1.0
+_NEAR_PX, NEAR_DISPARITY_PX = 2, 1.0
 """A point is noise when no true surface lies within so many pixels and so much disparity of it."""
 
 
@@ -53,7 +53,7 @@ def is_noise(
 ) -> Mask:
     """True for points (N, 3) [m, rectified left camera] with no true surface near them.
 
-    Near means: some pixel at most `NEAR_PX` away from the point's projection, in either direction,
+    Near means: some pixel at most `_NEAR_PX` away from the point's projection, in either direction,
     whose true disparity differs from the point's by at most `NEAR_DISPARITY_PX`.
 
     Parameters
@@ -69,7 +69,7 @@ def is_noise(
     u = np.rint(xyz[:, 0] / xyz[:, 2] * K[0, 0] + K[0, 2]).astype(int)
     v = np.rint(xyz[:, 1] / xyz[:, 2] * K[1, 1] + K[1, 2]).astype(int)
     disparity, best = focal_baseline / xyz[:, 2], np.full(len(xyz), np.inf)
-    steps = range(-NEAR_PX, NEAR_PX + 1)
+    steps = range(-_NEAR_PX, _NEAR_PX + 1)
     for dv, du in ((dv, du) for dv in steps for du in steps):
         uu, vv = u + du, v + dv
         inside = (uu >= 0) & (uu < w) & (vv >= 0) & (vv < h)

@@ -14,7 +14,7 @@ from stereo_ore.lab.bench.labelled import LabelledCloud
 from stereo_ore.lab.metrics import FilterQuality, filter_quality
 from stereo_ore.stages import filters
 
-ROUNDS = 3
+_ROUNDS = 3
 SPACES: Mapping[str, Mapping[str, tuple[Any, ...]]] = {
     "paper": {
         "k0": (5, 8, 10, 15, 20, 30),
@@ -66,7 +66,7 @@ class Tuned:
         return {"filter": {"method": self.method, "params": self.params}}
 
 
-def search(
+def search_parameters(
     method: str,
     clouds: Sequence[LabelledCloud],
     weights: CostWeights,
@@ -98,7 +98,7 @@ def search(
         return tried[key]
 
     curves: dict[str, list[tuple[Any, float]]] = {}
-    for _ in range(ROUNDS):
+    for _ in range(_ROUNDS):
         before = dict(best)
         for name, values in SPACES[method].items():
             curves[name] = [(value, cost({**best, name: value})) for value in values]

@@ -16,7 +16,7 @@ from stereo_ore.io.recordings.images import Image, split_in_two, to_8_bit
 from stereo_ore.plant.frames import LiveFrame, Position
 from stereo_ore.types import StereoPair
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 RETRY_S = 1.0
 
@@ -33,7 +33,7 @@ class Capture(Protocol):
         ...
 
 
-class Camera:
+class LiveCamera:
     """Grabs in a thread of its own; a camera that is unplugged is opened again once it is back.
 
     Parameters
@@ -79,7 +79,7 @@ class Camera:
                 self._grab_from(capture, stop)
                 capture.release()
             if self._connected and not stop.is_set():
-                log.warning("%s is gone; trying again", self.name)
+                _log.warning("%s is gone; trying again", self.name)
             self._connected = False
             stop.wait(self._retry_s)
 
@@ -95,7 +95,7 @@ class Camera:
                 self._changed.notify()
 
 
-def open_camera(number: int, image_size: tuple[int, int]) -> Camera:
+def open_camera(number: int, image_size: tuple[int, int]) -> LiveCamera:
     """UVC camera `number`, asked for two eyes of `image_size` (width, height) beside each other."""
     import cv2
 
@@ -114,7 +114,7 @@ def open_camera(number: int, image_size: tuple[int, int]) -> Camera:
             remedy="Is it plugged in, and free? Try another number",
         )
     first.release()
-    return Camera(open_capture, f"camera {number}")
+    return LiveCamera(open_capture, f"camera {number}")
 
 
 def _frame(image: Image, taken_ns: int, index: int) -> LiveFrame:

@@ -32,9 +32,9 @@ from stereo_ore.plant.live_files import NO_DISK_BYTES, free_bytes
 from stereo_ore.plant.sinks.settings import SinksSettings, load_sinks, open_sinks
 from stereo_ore.plant.watch import first_size
 
-Verdict = Literal["ok", "warning", "fault"]
+_Verdict = Literal["ok", "warning", "fault"]
 
-LITTLE_DISK_BYTES = 5 * 10**9
+_LITTLE_DISK_BYTES = 5 * 10**9
 EARLIEST_S = 1_767_225_600
 """1 January 2026: a clock that says less has never been set."""
 TIME_ERROR = 5
@@ -43,11 +43,11 @@ NEEDED = ("numpy", "scipy", "sklearn", "cv2", "cv2.ximgproc", "open3d", "yaml", 
 
 
 @dataclass(frozen=True)
-class Finding:
+class _Finding:
     """What one check has found."""
 
     check: str
-    verdict: Verdict
+    verdict: _Verdict
     text: str
 
 
@@ -65,31 +65,31 @@ class Plan:
     page: int | None = None
 
 
-def examine(plan: Plan) -> Iterator[Finding]:
+def examine(plan: Plan) -> Iterator[_Finding]:
     """All findings, each as soon as it is known."""
     for name, check in CHECKS.items():
         try:
             found = list(check(plan))
         except StereoOreError as fault:
-            found = [Finding(name, "fault", str(fault))]
+            found = [_Finding(name, "fault", str(fault))]
         except Exception as fault:
-            found = [Finding(name, "fault", f"{type(fault).__name__}: {fault}")]
-        yield from (Finding(name, each.verdict, each.text) for each in found)
+            found = [_Finding(name, "fault", f"{type(fault).__name__}: {fault}")]
+        yield from (_Finding(name, each.verdict, each.text) for each in found)
 
 
-def _ok(text: str) -> Finding:
-    return Finding("", "ok", text)
+def _ok(text: str) -> _Finding:
+    return _Finding("", "ok", text)
 
 
-def _warning(text: str) -> Finding:
-    return Finding("", "warning", text)
+def _warning(text: str) -> _Finding:
+    return _Finding("", "warning", text)
 
 
-def _fault(text: str) -> Finding:
-    return Finding("", "fault", text)
+def _fault(text: str) -> _Finding:
+    return _Finding("", "fault", text)
 
 
-def _installation(plan: Plan) -> Iterator[Finding]:
+def _installation(plan: Plan) -> Iterator[_Finding]:
     """Packages that can be imported, and one OpenCV."""
     if found := conflicting_wheels():
         yield _fault(conflict_text(found))
@@ -105,7 +105,7 @@ def _installation(plan: Plan) -> Iterator[Finding]:
         yield _ok(f"Python {sys.version.split()[0]}, stereo-ore {version('stereo-ore')}")
 
 
-def _clock(plan: Plan) -> Iterator[Finding]:
+def _clock(plan: Plan) -> Iterator[_Finding]:
     """A clock that has been set, and is kept by somebody."""
     if time.time() < EARLIEST_S:
         yield _fault(f"says {time.strftime('%Y-%m-%d')}: set it, and let NTP keep it")
@@ -124,7 +124,7 @@ def _synchronised() -> bool | None:
     return None if state < 0 else state != TIME_ERROR
 
 
-def _results(plan: Plan) -> Iterator[Finding]:
+def _results(plan: Plan) -> Iterator[_Finding]:
     """Room, permission and nobody else in the folder of results."""
     if plan.out is None:
         return
@@ -138,13 +138,13 @@ def _results(plan: Plan) -> Iterator[Finding]:
     text = f"{plan.out}: {free / 1e9:.1f} GB free"
     if free < NO_DISK_BYTES:
         yield _fault(f"{text}: no clouds and pictures would be written. Make room")
-    elif free < LITTLE_DISK_BYTES:
+    elif free < _LITTLE_DISK_BYTES:
         yield _warning(f"{text}: see serve --keep")
     else:
         yield _ok(text)
 
 
-def _inbox(plan: Plan) -> Iterator[Finding]:
+def _inbox(plan: Plan) -> Iterator[_Finding]:
     """A folder that can be read, and nobody else serves."""
     if plan.watch is None:
         return
@@ -156,7 +156,7 @@ def _inbox(plan: Plan) -> Iterator[Finding]:
     yield _ok(f"{plan.watch}: {len(names)} entries")
 
 
-def _calibration(plan: Plan) -> Iterator[Finding]:
+def _calibration(plan: Plan) -> Iterator[_Finding]:
     """A calibration for images of the inbox's size."""
     if plan.calib is None:
         return
@@ -177,7 +177,7 @@ def _side_by_side(size: tuple[int, int]) -> tuple[int, int]:
     return 2 * size[0], size[1]
 
 
-def _site(plan: Plan) -> Iterator[Finding]:
+def _site(plan: Plan) -> Iterator[_Finding]:
     """A site with all that targets need."""
     if plan.site is None:
         if plan.calib:
@@ -198,14 +198,14 @@ def _site(plan: Plan) -> Iterator[Finding]:
         yield _ok(f"{plan.site}: arm, working volume, plane of the bars")
 
 
-def _parameters(plan: Plan) -> Iterator[Finding]:
+def _parameters(plan: Plan) -> Iterator[_Finding]:
     """A file of parameters that is one."""
     if plan.config is not None:
         load_config(plan.config)
         yield _ok(str(plan.config))
 
 
-def _consumers(plan: Plan) -> Iterator[Finding]:
+def _consumers(plan: Plan) -> Iterator[_Finding]:
     """Ports that are free, files that are there, extras that are installed."""
     settings = load_sinks(plan.sinks, **dict(plan.ports))
     open_sinks(settings)
@@ -234,7 +234,7 @@ def _taken(host: str, port: int) -> str:
     return ""
 
 
-def _broker(host: str, port: int) -> Iterator[Finding]:
+def _broker(host: str, port: int) -> Iterator[_Finding]:
     try:
         socket.create_connection((host, port), timeout=5).close()
     except OSError as fault:
@@ -243,7 +243,7 @@ def _broker(host: str, port: int) -> Iterator[Finding]:
         yield _ok(f"mqtt: {host}:{port} answers")
 
 
-def _frame(plan: Plan) -> Iterator[Finding]:
+def _frame(plan: Plan) -> Iterator[_Finding]:
     """The frame in the package, from pair to targets."""
     with as_file(files("stereo_ore") / "example") as folder:
         chain = Chain(load(folder / "calibration.yaml"), load_site(folder / "site.yaml"), Config())
@@ -258,14 +258,14 @@ def _frame(plan: Plan) -> Iterator[Finding]:
         yield _ok(text)
 
 
-def _temporary(plan: Plan) -> Iterator[Finding]:
+def _temporary(plan: Plan) -> Iterator[_Finding]:
     """A place for temporary files, which encoders of videos and bags need."""
     with tempfile.TemporaryFile() as file:
         file.write(b"x")
     yield _ok(tempfile.gettempdir())
 
 
-CHECKS: dict[str, Callable[[Plan], Iterator[Finding]]] = {
+CHECKS: dict[str, Callable[[Plan], Iterator[_Finding]]] = {
     "installation": _installation,
     "clock": _clock,
     "temporary files": _temporary,

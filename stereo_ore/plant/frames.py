@@ -100,7 +100,7 @@ class LiveSource(Protocol):
         ...
 
 
-class Recording:
+class ReplayedRecording:
     """A recording served as if its frames arrived when they are asked for; it ends after its last
     frame.
     """

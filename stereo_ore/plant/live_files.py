@@ -13,7 +13,7 @@ from stereo_ore.errors import OutputError
 from stereo_ore.runs.frame_files import FrameFiles
 from stereo_ore.types import FrameResult
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 NO_DISK_BYTES = 2 * 10**8
 """Below this much room only records are written: a day of them."""
@@ -58,6 +58,6 @@ class LiveFiles(FrameFiles):
     def note(self, fault: str) -> None:
         """Remember what kept the files of a frame from being written; empty: nothing."""
         if fault and not self.room.fault:
-            log.error("%s; clouds and pictures are left out", fault)
+            _log.error("%s; clouds and pictures are left out", fault)
         self.room.left_out += bool(fault)
         self.room.fault = fault

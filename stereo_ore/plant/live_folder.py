@@ -36,14 +36,14 @@ from stereo_ore.runs.folder import (
     whole_lines,
 )
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 MOST_FRAMES = 100_000
 """Frames of a part: a bound on what a restart reads and on the names that are remembered."""
 MOST_WAITING_BYTES, MOST_WAITING = 64_000_000, 100_000
 """Records that wait for room on the disk: above so many bytes without their ores, above so many
 frames no longer at all."""
-ADDED = ("digest", "inputs", "finished")
+_ADDED = ("digest", "inputs", "finished")
 """Keys of ``run.json`` that are not of the description."""
 COPIED = ("config.yaml", "calibration.yaml", "site.yaml", "run.json")
 """Files that tell how a part was made."""
@@ -157,7 +157,7 @@ class LiveFolder:
             self._tell(fault)
         else:
             if self._fault:
-                log.warning("%s: records are written again", self.folder)
+                _log.warning("%s: records are written again", self.folder)
             self._fault = ""
 
     @property
@@ -244,7 +244,7 @@ class LiveFolder:
         ):
             return
         # Opened once more as what it is, so that a part that was torn is made whole.
-        known = {key: value for key, value in earlier.items() if key not in ADDED}
+        known = {key: value for key, value in earlier.items() if key not in _ADDED}
         with RunFolder(self.folder, known, resume=True, overwrite=False, lock=False) as part:
             done = part.done
         self._count = 0
@@ -274,7 +274,7 @@ class LiveFolder:
         if "segment" in earlier:
             return int(earlier["segment"])
         closed = segments.closed(self.folder)
-        return segments.number(closed[-1]) + 1 if closed else 0
+        return segments.segment_number(closed[-1]) + 1 if closed else 0
 
     def _remove_earlier(self) -> None:
         for part in segments.closed(self.folder):
@@ -305,7 +305,7 @@ class LiveFolder:
 
     def _tell(self, fault: OutputError) -> None:
         if not self._fault:
-            log.error("%s; records wait in memory", fault)
+            _log.error("%s; records wait in memory", fault)
         self._fault = str(fault)
 
 

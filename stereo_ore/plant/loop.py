@@ -12,18 +12,17 @@ from dataclasses import replace
 
 from stereo_ore.chain import no_counts
 from stereo_ore.io.recordings.stamps import Stamp
-from stereo_ore.io.results import Json
 from stereo_ore.plant.frames import LiveFrame, LiveSource
 from stereo_ore.plant.live_folder import LiveFolder
 from stereo_ore.plant.publisher import Publisher
 from stereo_ore.plant.retention import Retention
-from stereo_ore.plant.status import Status
+from stereo_ore.plant.status import PlantStatus
 from stereo_ore.runs.driver import Driver, frame_lines
 from stereo_ore.runs.folder import FrameLines
 from stereo_ore.runs.history import Watch, degraded
-from stereo_ore.types import FrameResult, Reason, Site, StereoPair
+from stereo_ore.types import FrameResult, Json, Reason, Site, StereoPair
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 Process = Callable[[LiveFrame], FrameLines]
 
@@ -37,7 +36,7 @@ def serve(
     process: Process,
     folder: LiveFolder,
     publisher: Publisher,
-    status: Status,
+    status: PlantStatus,
     stop: threading.Event,
     retention: Retention | None = None,
 ) -> int:
@@ -109,7 +108,7 @@ def _tell(record: Json, frame: LiveFrame) -> None:
     fields["latency_ms"] = round(1000 * frame.age_s)
     reasons = f" ({', '.join(codes)})" if codes else ""
     text = "frame %s: %s%s, %d targets, %d ms after it arrived"
-    log.info(
+    _log.info(
         text,
         frame.name,
         record["status"],

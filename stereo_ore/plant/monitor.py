@@ -9,17 +9,17 @@ from pathlib import Path
 from typing import Any
 
 from stereo_ore.plant.live_files import NO_DISK_BYTES, free_bytes
-from stereo_ore.plant.status import LATENCY_S, Status
+from stereo_ore.plant.status import LATENCY_S, PlantStatus
 from stereo_ore.version import __version__
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
-LITTLE_DISK_BYTES = 10**9
+_LITTLE_DISK_BYTES = 10**9
 
-Sample = tuple[Mapping[str, str], float]
+_Sample = tuple[Mapping[str, str], float]
 """Labels and value."""
 
 
-def health(status: Status, folder: Path) -> dict[str, Any]:
+def health(status: PlantStatus, folder: Path) -> dict[str, Any]:
     """Whether the program is in order: status ok, warning or alarm, and what is the matter.
 
     An alarm needs somebody (a server that does not come up again, a full disk). A warning may pass
@@ -30,7 +30,7 @@ def health(status: Status, folder: Path) -> dict[str, Any]:
     if free < NO_DISK_BYTES:
         if not status.disk_fault:
             alarms.append(f"{folder}: {free // 10**6} MB left on the disk")
-    elif free < LITTLE_DISK_BYTES:
+    elif free < _LITTLE_DISK_BYTES:
         warnings.append(f"{folder}: {free // 10**6} MB left on the disk")
     frame_s, _ = status.ages_s()
     if frame_s is None:
@@ -46,12 +46,12 @@ def health(status: Status, folder: Path) -> dict[str, Any]:
     return {"status": verdict, "alarms": alarms, "warnings": warnings, "version": __version__}
 
 
-def metrics(status: Status, folder: Path) -> str:
+def metrics(status: PlantStatus, folder: Path) -> str:
     """All that changes, with units in the names."""
     return "".join(f"{line}\n" for family in _families(status, folder) for line in family)
 
 
-def _families(status: Status, folder: Path) -> Iterator[Iterable[str]]:
+def _families(status: PlantStatus, folder: Path) -> Iterator[Iterable[str]]:
     counts, (frame_s, target_s), latest = status.counts(), status.ages_s(), status.publisher.latest
     sinks = [
         ({"sink": state.name, "address": state.address}, state)
@@ -96,12 +96,12 @@ def _families(status: Status, folder: Path) -> Iterator[Iterable[str]]:
     )
 
 
-def _family(name: str, kind: str, text: str, samples: Iterable[Sample]) -> list[str]:
+def _family(name: str, kind: str, text: str, samples: Iterable[_Sample]) -> list[str]:
     lines = [f"stereo_ore_{name}{_labels(labels)} {float(value)!r}" for labels, value in samples]
     return [f"# HELP stereo_ore_{name} {text}", f"# TYPE stereo_ore_{name} {kind}", *lines]
 
 
-def _known(value: float | None) -> list[Sample]:
+def _known(value: float | None) -> list[_Sample]:
     return [] if value is None else [({}, value)]
 
 

@@ -19,9 +19,9 @@ from urllib.parse import urlsplit
 from stereo_ore.errors import OutputError
 from stereo_ore.plant.monitor import CONTENT_TYPE, health, metrics
 from stereo_ore.plant.sinks.settings import LOOPBACK
-from stereo_ore.plant.status import Status
+from stereo_ore.plant.status import PlantStatus
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 HOST = re.compile(r"(?:\[([0-9a-f:.]+)\]|([^:/@\[\]]+))(?::\d*)?", re.ASCII)
 LOOPBACK_NAMES = frozenset((LOOPBACK, "localhost", "::1"))
@@ -48,7 +48,9 @@ class LivePage:
         Names beside ``localhost`` under which a reverse proxy on this machine is reached.
     """
 
-    def __init__(self, port: int, status: Status, folder: Path, names: Sequence[str] = ()) -> None:
+    def __init__(
+        self, port: int, status: PlantStatus, folder: Path, names: Sequence[str] = ()
+    ) -> None:
         self.port = port
         self._status, self._folder = status, folder
         self._names = LOOPBACK_NAMES | {name.lower() for name in names}
@@ -86,7 +88,7 @@ class LivePage:
 
 
 class _Handler(BaseHTTPRequestHandler):
-    status: Status
+    status: PlantStatus
     folder: Path
     names: frozenset[str]
     timeout = 10
@@ -141,7 +143,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(body)
 
     def log_message(self, format: str, *args: Any) -> None:
-        log.debug(format, *args)
+        _log.debug(format, *args)
 
 
 def _host(header: str) -> str | None:

@@ -13,7 +13,8 @@ from types import TracebackType
 from typing import Self
 
 from stereo_ore.plant.sinks.base import FrameSink, SinkState, TargetSink
-from stereo_ore.plant.sinks.message import Json, Message, Origin, message, new_session, notice
+from stereo_ore.plant.sinks.message import Message, Origin, message, new_session, notice
+from stereo_ore.types import JsonMapping
 
 
 class Publisher:
@@ -66,7 +67,7 @@ class Publisher:
         self._timer.join()
         self._stack.close()
 
-    def publish(self, record: Json, age_s: float, notes: Sequence[str] = ()) -> Message:
+    def publish(self, record: JsonMapping, age_s: float, notes: Sequence[str] = ()) -> Message:
         """Publish the targets of a record whose frame was taken `age_s` seconds ago; `notes` are
         further reason codes, which take no target away.
         """
@@ -89,7 +90,7 @@ class Publisher:
         """How each sink is doing."""
         return [sink.state() for sink in self._sinks]
 
-    def _send(self, made: Message, record: Json | None = None, age_s: float = 0.0) -> None:
+    def _send(self, made: Message, record: JsonMapping | None = None, age_s: float = 0.0) -> None:
         self._latest = made
         self._sequence += 1
         for sink in self._sinks:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from stereo_ore.io.results import Json, Results
-from stereo_ore.types import F64
+from stereo_ore.io.results import Results
+from stereo_ore.types import F64, Json
 
 DEFAULT_PERIOD_S = 1.0
 """For a recording that knows neither stamps nor timings."""

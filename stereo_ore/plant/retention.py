@@ -17,9 +17,9 @@ from stereo_ore.errors import ConfigError
 from stereo_ore.io import segments
 from stereo_ore.plant.clock import SYSTEM, Clock
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
-KINDS = ("clouds", "overlays", "pictures", "records", "inbox")
+_KINDS = ("clouds", "overlays", "pictures", "records", "inbox")
 UNITS_S = {"min": 60, "h": 3600, "d": 86_400}
 UNITS_BYTES = {"MB": 10**6, "GB": 10**9, "TB": 10**12}
 AMOUNT = re.compile(r"(\d+(?:\.\d+)?)(min|h|d|MB|GB|TB)", re.ASCII)
@@ -59,8 +59,8 @@ def parse_limits(texts: Sequence[str]) -> list[Limit]:
 def _parse(text: str) -> Limit:
     kind, _, rest = text.partition("=")
     amounts = [AMOUNT.fullmatch(part.strip()) for part in rest.split(",")]
-    if kind not in KINDS or not all(amounts):
-        remedy = f"One of {', '.join(KINDS)}, then = and an age or a size: clouds=7d,20GB"
+    if kind not in _KINDS or not all(amounts):
+        remedy = f"One of {', '.join(_KINDS)}, then = and an age or a size: clouds=7d,20GB"
         raise ConfigError(f"{text!r} is no limit", key="--keep", remedy=remedy)
     age_s = size = None
     for match in amounts:
@@ -130,7 +130,7 @@ class Retention:
             return 0
         except OSError as fault:
             if not self._told:
-                log.warning("%s is kept: it can't be removed: %s", path, fault.strerror)
+                _log.warning("%s is kept: it can't be removed: %s", path, fault.strerror)
             self._told = True
             return 0
         return 1

@@ -13,7 +13,7 @@ from typing import Any
 
 from stereo_ore.plant.frames import LiveSource
 from stereo_ore.plant.publisher import Publisher
-from stereo_ore.plant.sinks.message import Json
+from stereo_ore.types import JsonMapping
 
 RATE_FRAMES = 20
 """The frame rate is taken over this many frames."""
@@ -32,7 +32,7 @@ class Counts:
     latency_sum_s: float = 0.0
 
 
-class Status:
+class PlantStatus:
     """Counts frames; may be read from any thread. `disk` tells what keeps results from being
     written.
     """
@@ -45,9 +45,9 @@ class Status:
         self._times: deque[float] = deque(maxlen=RATE_FRAMES)
         self._counts = Counts()
         self._target_at: float | None = None
-        self._last: Json | None = None
+        self._last: JsonMapping | None = None
 
-    def add(self, record: Json, latency_s: float | None = None) -> None:
+    def add(self, record: JsonMapping, latency_s: float | None = None) -> None:
         """One frame is done, `latency_s` after it arrived [s]; negative latencies, of a clock set
         back, count as 0.
         """

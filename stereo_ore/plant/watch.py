@@ -41,15 +41,15 @@ from stereo_ore.plant.frames import LiveFrame, Position
 from stereo_ore.plant.inbox import Inbox, Look, look_at
 from stereo_ore.types import StereoPair
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
-SETTLED_S = 1.0
+_SETTLED_S = 1.0
 """A file in a format without an end marker is complete when it has not changed for this time."""
 SCAN_SHARE = 0.25
 """At most this share of the time is spent listing the folder, however large it grows."""
 MOST_SKEW_S = 1.0
 """Clocks of files and of this machine may differ by so much without a word."""
-ALIKE, MOST_OFFSET_S = 3, 15.0
+_ALIKE, MOST_OFFSET_S = 3, 15.0
 """So many frames in a row that come alike late, by no more than this, show another clock, not old
 files: what they are late by is then taken off their age."""
 LEDGER_SLACK_NS = 24 * 3600 * 10**9
@@ -131,7 +131,7 @@ class FolderWatch:
         self._skipped = 0
         self._problem = ""
         self._told_skew = False
-        self._late: deque[float] = deque(maxlen=ALIKE)
+        self._late: deque[float] = deque(maxlen=_ALIKE)
         self._looked_s = 0.0
 
     def frames(self, start: Position, stop: threading.Event) -> Iterator[LiveFrame]:
@@ -243,7 +243,7 @@ class FolderWatch:
         """Whether its files have not changed for a while, by either clock."""
         unchanged_s = self._clock.monotonic() - waiting.since_s
         age_s = (self._clock.time_ns() - waiting.written_ns) / 1e9
-        return max(unchanged_s, age_s) > SETTLED_S
+        return max(unchanged_s, age_s) > _SETTLED_S
 
     def _hand_on(self, waiting: _Waiting) -> None:
         waiting.gone = True
@@ -261,10 +261,10 @@ class FolderWatch:
             return
         self._told_skew = True
         counted = (
-            f"targets hold for less, or not at all, until {ALIKE} in a row are alike late by at"
+            f"targets hold for less, or not at all, until {_ALIKE} in a row are alike late by at"
             f" most {MOST_OFFSET_S:.0f} s (see --age)"
         )
-        log.warning(
+        _log.warning(
             "the clock of files in %s is %.1f s %s this machine's, or they are old when they come:"
             " %s",
             self.folder,
@@ -285,7 +285,7 @@ class FolderWatch:
                 return 0.0
         if unchanged_s < self._patience_s:
             return None
-        log.warning(
+        _log.warning(
             "frame %s was not complete and did not change for %.0f s",
             waiting.arrival.name,
             unchanged_s,
@@ -336,7 +336,7 @@ class FolderWatch:
             return stated_ns
         self._late.append((arrived_ns - stated_ns) / 1e9)
         least, most = min(self._late), max(self._late)
-        alike = len(self._late) == ALIKE and most - least <= MOST_SKEW_S
+        alike = len(self._late) == _ALIKE and most - least <= MOST_SKEW_S
         return stated_ns + round(1e9 * least) if alike and 0 < least <= MOST_OFFSET_S else stated_ns
 
 
@@ -365,7 +365,7 @@ def _is_whole(file: Path, unchanged_s: float) -> bool:
     except OSError:
         return False
     complete = is_complete(data)
-    return bool(data) and unchanged_s >= SETTLED_S if complete is None else complete
+    return bool(data) and unchanged_s >= _SETTLED_S if complete is None else complete
 
 
 def first_size(folder: Path) -> tuple[int, int] | None:

@@ -20,7 +20,7 @@ MILLIMETRE = 0.001
 """Points are sent as whole millimetres in 16 bits: ±32 m, finer than the screen."""
 
 
-def views(
+def cloud_views(
     cloud: clouds.Records,
     stages: Mapping[str, npt.NDArray[Any]] | None,
     rig: Rig | None,
@@ -43,10 +43,10 @@ def views(
         At most about this many are shown.
     """
     noise = None if rig is None else noise_map(clouds.xyz(cloud), rig, sigma_px)
-    return {"points": pack(cloud, points), "scores": scores(cloud, stages), "noise": noise}
+    return {"points": pack_cloud(cloud, points), "scores": scores(cloud, stages), "noise": noise}
 
 
-def pack(cloud: clouds.Records, points: int) -> dict[str, Any]:
+def pack_cloud(cloud: clouds.Records, points: int) -> dict[str, Any]:
     """Every n-th point as base64 of little-endian arrays: xyz int16 [mm], grey uint8, ore id
     uint16.
     """

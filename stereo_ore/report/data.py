@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from stereo_ore.io.results import Json, Results
+from stereo_ore.io.results import Results
 from stereo_ore.report import cloud_view, pictures
 from stereo_ore.times import utc
+from stereo_ore.types import Json
 
 DETAILED_FRAMES = 8
 THUMBNAILS = 120
@@ -176,7 +177,7 @@ def _detail(results: Results, record: Json) -> dict[str, Any]:
         "overlay": _picture(results, record, pictures.overlay),
     }
     if cloud is not None and len(cloud):
-        detail |= cloud_view.views(
+        detail |= cloud_view.cloud_views(
             cloud,
             results.stages(frame),
             results.rig,

@@ -70,7 +70,7 @@ class Job:
         return self.driver.finish(result, inputs)
 
 
-def run(job: Job, indices: Sequence[int], workers: int = 1) -> Iterator[FrameLines]:
+def run_in_batches(job: Job, indices: Sequence[int], workers: int = 1) -> Iterator[FrameLines]:
     """Lines of each frame, in order of `indices`; the same for any number of workers."""
     if workers == 1 or len(indices) < 2:
         yield from _overlapped(job, indices)

@@ -33,7 +33,7 @@ from stereo_ore.runs.identity import versions
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 CONNECT_S, WORKERS_S, NEWS_S = 20, 120, 30
 """How long to wait for the scheduler, for its first worker, and before asking whether there still
@@ -84,7 +84,7 @@ class ChunkLines:
     error: StereoOreError | None = None
 
 
-def run(job: Job, indices: Sequence[int], address: str) -> Iterator[FrameLines]:
+def run_on_cluster(job: Job, indices: Sequence[int], address: str) -> Iterator[FrameLines]:
     """Lines of each frame, in order of `indices`, from the workers of the Dask scheduler at
     `address`.
 
@@ -176,16 +176,16 @@ def _loss_told() -> Iterator[None]:
 def _wait_for_workers(client: Client) -> int:
     """Number of workers, once there is one."""
     if not client.nthreads():
-        log.warning("the cluster has no worker yet; waiting for %d s", WORKERS_S)
+        _log.warning("the cluster has no worker yet; waiting for %d s", WORKERS_S)
     with contextlib.suppress(TimeoutError):
         client.wait_for_workers(1, timeout=WORKERS_S)
     threads = client.nthreads()
     if not threads:
         remedy = f"Start some: dask worker {client.scheduler.address} --nthreads 1"
         raise ClusterError("has no worker", file=client.scheduler.address, remedy=remedy)
-    log.info("cluster with %d worker%s", len(threads), "s" * (len(threads) != 1))
+    _log.info("cluster with %d worker%s", len(threads), "s" * (len(threads) != 1))
     if max(threads.values()) > 1:
-        log.warning("workers use one thread each: start more of them instead, with --nthreads 1")
+        _log.warning("workers use one thread each: start more of them instead, with --nthreads 1")
     return len(threads)
 
 
@@ -197,7 +197,7 @@ def _result(client: Client, future: Future) -> ChunkLines:
             if future.status == "error":
                 raise
             if not client.nthreads():
-                log.warning("the cluster has lost its workers; waiting for one")
+                _log.warning("the cluster has lost its workers; waiting for one")
         else:
             return found
 

@@ -19,7 +19,7 @@ from stereo_ore.runs.frame_files import FrameFiles
 from stereo_ore.runs.history import fingerprints
 from stereo_ore.types import FrameResult, Reason, Site, StampSource, StereoPair
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Driver:
         except Exception as fault:
             if not self.unattended:
                 raise
-            log.exception("frame %s", name)
+            _log.exception("frame %s", name)
             reason = Reason("INTERNAL_ERROR", f"{type(fault).__name__}: {fault}")
         ns, origin = stamp or (None, None)
         failed = FrameResult(name, index, ns, "failed", (reason,), no_counts())

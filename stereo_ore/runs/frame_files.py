@@ -17,7 +17,7 @@ import numpy.typing as npt
 from stereo_ore.draw import overlay, scene_picture
 from stereo_ore.draw.images import encode_png
 from stereo_ore.io.atomic import write_bytes
-from stereo_ore.transforms import apply
+from stereo_ore.transforms import transform_points
 from stereo_ore.types import F64, I32, U8, FrameResult, PointCloud, VoxelCloud
 
 NPZ_LEVEL = 1
@@ -56,9 +56,9 @@ class FrameFiles:
         read.
         """
         if self.overlays:
-            self._write_image("overlays", result.name, overlay.draw(result))
+            self._write_image("overlays", result.name, overlay.draw_overlay(result))
         if self.pictures:
-            self._write_image("pictures", result.name, scene_picture.draw(result))
+            self._write_image("pictures", result.name, scene_picture.draw_scene(result))
         if result.filtered is not None and (self.clouds or self.T_arm_camera is not None):
             self._write_clouds(result.name, cloud_table(result))
         if self.save_stages and result.disparity is not None:
@@ -68,7 +68,7 @@ class FrameFiles:
         if self.clouds:
             write_bytes(self.folder / "clouds" / f"{name}.ply", cloud_ply(table))
         if self.T_arm_camera is not None:
-            data = cloud_ply(moved(table, self.T_arm_camera), "arm frame")
+            data = cloud_ply(_moved(table, self.T_arm_camera), "arm frame")
             write_bytes(self.folder / ARM_CLOUDS / f"{name}.ply", data)
 
     def _write_image(self, kind: str, name: str, image: U8 | None) -> None:
@@ -94,11 +94,11 @@ def cloud_table(result: FrameResult) -> npt.NDArray[np.void]:
     return table
 
 
-def moved(table: npt.NDArray[np.void], T: F64) -> npt.NDArray[np.void]:
+def _moved(table: npt.NDArray[np.void], T: F64) -> npt.NDArray[np.void]:
     """A copy of a `cloud_table` in another frame."""
     places = np.stack([table[axis] for axis in "xyz"], -1).astype(np.float64)
     copy = table.copy()
-    copy["x"], copy["y"], copy["z"] = apply(T, places).T
+    copy["x"], copy["y"], copy["z"] = transform_points(T, places).T
     return copy
 
 

@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from stereo_ore.config import HealthConfig
-from stereo_ore.record import Json, to_line
+from stereo_ore.record import to_line
 from stereo_ore.runs.folder import FrameLines
-from stereo_ore.types import F64, U8, FrameResult, Reason
+from stereo_ore.types import F64, U8, FrameResult, Json, Reason
 
 FEWEST_GOOD = 5
 """Good frames that are needed to say what is usual."""

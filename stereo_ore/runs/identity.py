@@ -17,7 +17,7 @@ from stereo_ore.io.parameters import dump_config
 from stereo_ore.runs.driver import sha256
 from stereo_ore.version import __version__
 
-SCHEMA = "stereo_ore/run/1"
+_SCHEMA = "stereo_ore/run/1"
 PACKAGES = (
     "numpy",
     "scipy",
@@ -45,7 +45,7 @@ def description(source: str, chain: Chain, files: InputFiles, **more: Any) -> di
         key: {"path": str(path), "sha256": sha256(path)} for key, path in given.items() if path
     }
     return {
-        "schema": SCHEMA,
+        "schema": _SCHEMA,
         "versions": versions(),
         "source": source,
         "parameters": chain.config.model_dump(mode="json"),

@@ -20,7 +20,7 @@ from stereo_ore.runs.history import Watch
 from stereo_ore.runs.identity import InputFiles, description, write_inputs
 from stereo_ore.stages import matching
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 Progress = Callable[[int, int], None]
 """Told after each frame how many of how many are done."""
@@ -67,7 +67,7 @@ def select(recording: Source, chain: Chain, options: RunOptions) -> range:
     return indices
 
 
-def run(
+def run_recording(
     recording: Source,
     chain: Chain,
     out: Path,
@@ -117,9 +117,9 @@ def _do_frames(
     with _stoppable():
         scheduler = options.scheduler
         each = (
-            cluster.run(job, todo, scheduler)
+            cluster.run_on_cluster(job, todo, scheduler)
             if scheduler
-            else batch.run(job, todo, options.workers)
+            else batch.run_in_batches(job, todo, options.workers)
         )
         for count, lines in enumerate(each, done + 1):
             folder.add(watch.judge(lines))
@@ -132,7 +132,7 @@ def _stoppable() -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        log.warning("stopped; the same command with --resume continues")
+        _log.warning("stopped; the same command with --resume continues")
         raise
 
 
@@ -162,9 +162,9 @@ def _report(out: Path, recording: Source, indices: range, chain: Chain) -> Path 
 
     check = write_check(out, recording, indices, chain.calibration)
     for finding in check["findings"] if check else ():
-        log.warning("calibration %s: %s", finding["severity"], finding["text"])
+        _log.warning("calibration %s: %s", finding["severity"], finding["text"])
     try:
         return write_report(out)
     except MissingExtraError as error:
-        log.warning("no report.html: %s", error)
+        _log.warning("no report.html: %s", error)
         return None

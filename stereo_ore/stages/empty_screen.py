@@ -38,7 +38,7 @@ class EmptyScreen:
     registration: Registration | None = None
 
 
-def load(rig: Rig, region: Region, site: Site, config: Config) -> EmptyScreen | None:
+def load_empty_screen(rig: Rig, region: Region, site: Site, config: Config) -> EmptyScreen | None:
     """The site's empty screen, or None when the site names none.
 
     Raises
@@ -50,7 +50,7 @@ def load(rig: Rig, region: Region, site: Site, config: Config) -> EmptyScreen | 
     """
     if site.background is None:
         return None
-    background = matching.background.load(site.background)
+    background = matching.background.load_background(site.background)
     matching.background.check_size(background, rig.height, rig.width)
     sure = np.where(np.isfinite(background.disparity), np.float32(1), np.float32(np.nan))
     disparity, moved = Disparity(background.disparity, region, sure), None

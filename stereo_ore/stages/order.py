@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from stereo_ore.config.models import OrderConfig
-from stereo_ore.transforms import apply
+from stereo_ore.transforms import transform_points
 from stereo_ore.types import F64, Reason, Site, Solid, StrikePlan
 
 
@@ -66,7 +66,7 @@ def _way(points: F64, site: Site) -> F64:
     if site.T_arm_camera is None or site.reach_min_m is None or site.reach_max_m is None:
         return np.zeros(len(points))
     middle = 0.5 * (site.reach_min_m + site.reach_max_m)
-    return np.asarray(np.linalg.norm(apply(site.T_arm_camera, points) - middle, axis=1))
+    return np.asarray(np.linalg.norm(transform_points(site.T_arm_camera, points) - middle, axis=1))
 
 
 def _over_largest(values: F64) -> F64:

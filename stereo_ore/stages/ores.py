@@ -9,7 +9,7 @@ import numpy as np
 from stereo_ore.types import Ore, OreMap, Reason, Site, Solid, StrikePlan, Surface
 
 
-def describe(
+def describe_ores(
     surface: Surface,
     ore_map: OreMap,
     solids: tuple[Solid | None, ...],

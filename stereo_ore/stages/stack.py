@@ -10,11 +10,11 @@ import numpy as np
 from stereo_ore.transforms import frame_from_normal
 from stereo_ore.types import F32, F64, Plane, Solid
 
-OVERLAP = 0.25
+_OVERLAP = 0.25
 """Share of the smaller one's shadow on the screen that lies in the other's."""
-ABOVE = 0.1
+_ABOVE = 0.1
 """How much higher the upper one's centre of gravity is, in its own longest dimension."""
-APART = 0.1
+_APART = 0.1
 """Vertical distance between both, in the upper one's longest dimension, over which nothing is
 carried."""
 
@@ -43,7 +43,7 @@ def carried(solids: Sequence[Solid | None], plane: Plane) -> tuple[tuple[int, in
         for lower, base in known
         if upper != lower
         and _is_on(top, base, plane)
-        and _overlap(shadows[upper], shadows[lower]) > OVERLAP
+        and _overlap(shadows[upper], shadows[lower]) > _OVERLAP
     )
 
 
@@ -62,4 +62,4 @@ def _is_on(top: Solid, base: Solid, plane: Plane) -> bool:
     size = float(top.size_m[0])
     higher = plane.height(top.centre_of_gravity) - plane.height(base.centre_of_gravity)
     gap = plane.height(top.vertices).min() - plane.height(base.vertices).max()
-    return bool(higher > ABOVE * size and gap < APART * size)
+    return bool(higher > _ABOVE * size and gap < _APART * size)

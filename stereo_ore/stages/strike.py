@@ -11,7 +11,7 @@ from scipy.ndimage import find_objects
 
 from stereo_ore.config.models import StrikeConfig
 from stereo_ore.planes import crop_rig, fit_planes
-from stereo_ore.transforms import apply
+from stereo_ore.transforms import transform_points
 from stereo_ore.types import (
     F32,
     F64,
@@ -36,7 +36,7 @@ NOISE_SPREAD = 2.0
 ones."""
 NORMAL_SIGMA = 0.07
 """Tilt error [rad] wanted of a fitted plane; the window grows until noise allows it."""
-LARGEST_WINDOW = 0.35
+_LARGEST_WINDOW = 0.35
 """Largest side of the window as share of the lump's."""
 CRITERIA = {
     "UNCERTAIN_DEPTH": "no patch of the tool's size is measured well enough",
@@ -129,7 +129,7 @@ def _window(z_m: F32, sigma_z: F64, pixels: int, rig: Rig, config: StrikeConfig)
     steady = np.sqrt(
         np.sqrt(12.0) * NOISE_SPREAD * float(np.median(sigma_z)) / (NORMAL_SIGMA * pixel_m)
     )
-    side = min(max(config.tool_diameter_m / pixel_m, steady), LARGEST_WINDOW * np.sqrt(pixels))
+    side = min(max(config.tool_diameter_m / pixel_m, steady), _LARGEST_WINDOW * np.sqrt(pixels))
     return 2 * int(max(side, 3.0) / 2) + 1
 
 
@@ -178,7 +178,7 @@ def _within_reach(xyz: F64, site: Site) -> Mask:
     inside = np.ones(xyz.shape[:-1], bool)
     if site.T_arm_camera is None or (site.reach_min_m is None and site.reach_max_m is None):
         return inside
-    arm = apply(site.T_arm_camera, xyz)
+    arm = transform_points(site.T_arm_camera, xyz)
     if site.reach_min_m is not None:
         inside &= (arm >= site.reach_min_m).all(-1)
     if site.reach_max_m is not None:

@@ -27,15 +27,15 @@ from stereo_ore.types import (
     VoxelCloud,
 )
 
-STEP = 4
+_STEP = 4
 """Windows are many times this wide: sums over a copy reduced by it tell as much as over all
 pixels."""
 
 FLOOR_PX = np.float32(0.05)
 """Added before a cue's logarithm."""
 
-FAR_PX = np.float32(1e4)
-UNKNOWN = np.float32(1e-3)
+_FAR_PX = np.float32(1e4)
+_UNKNOWN = np.float32(1e-3)
 
 
 def look_around(voxels: VoxelCloud, disparity: Disparity, pair: RectifiedPair) -> VoxelCloud:
@@ -78,22 +78,22 @@ def look_around(voxels: VoxelCloud, disparity: Disparity, pair: RectifiedPair) -
 
 
 Found = Iterator[tuple[str, F32]]
-Index = npt.NDArray[np.intp]
+_Index = npt.NDArray[np.intp]
 
 
-def _cells(voxels: VoxelCloud, disparity: Disparity, pair: RectifiedPair) -> Index:
+def _cells(voxels: VoxelCloud, disparity: Disparity, pair: RectifiedPair) -> _Index:
     """Places of the voxels, within the matched region, in the reduced copy laid out flat."""
     region = disparity.region
     height, width = region.y1 - region.y0, region.x1 - region.x0
     u, v = np.rint(pair.rig.project(voxels.xyz)).astype(np.intp).T
     row, column = (
-        np.clip(v - region.y0, 0, height - 1) // STEP,
-        np.clip(u - region.x0, 0, width - 1) // STEP,
+        np.clip(v - region.y0, 0, height - 1) // _STEP,
+        np.clip(u - region.x0, 0, width - 1) // _STEP,
     )
-    return np.asarray(row * -(-width // STEP) + column)
+    return np.asarray(row * -(-width // _STEP) + column)
 
 
-def _doubts(disparity: Disparity, at: Index) -> Found:
+def _doubts(disparity: Disparity, at: _Index) -> Found:
     """Means of the pixel cues over all pixels of the windows, known or not."""
     for name in PIXEL_CUES:
         image = _reduce(_plain(disparity.cues[name]))
@@ -102,7 +102,7 @@ def _doubts(disparity: Disparity, at: Index) -> Found:
         )
 
 
-def _doubts_of_known(disparity: Disparity, seen: F32, known: F32, at: Index) -> Found:
+def _doubts_of_known(disparity: Disparity, seen: F32, known: F32, at: _Index) -> Found:
     """Means of logarithms of cues over the pixels with a disparity, and their share."""
     share = {size: _mean(known, size) for size in CONTEXT_WINDOWS_PX}
     for name in KNOWN_CUES:
@@ -111,13 +111,16 @@ def _doubts_of_known(disparity: Disparity, seen: F32, known: F32, at: Index) -> 
             np.where(seen, cue if name.startswith("support") else _log(cue), np.float32(0))
         )
         yield from (
-            (f"{name}_known_{size}", _mean(image, size).take(at) / (share[size].take(at) + UNKNOWN))
+            (
+                f"{name}_known_{size}",
+                _mean(image, size).take(at) / (share[size].take(at) + _UNKNOWN),
+            )
             for size in CONTEXT_WINDOWS_PX
         )
     yield from ((f"known_{size}", share[size].take(at)) for size in CONTEXT_WINDOWS_PX)
 
 
-def _depth(d: F32, seen: F32, known: F32, own: F32, at: Index) -> Found:
+def _depth(d: F32, seen: F32, known: F32, own: F32, at: _Index) -> Found:
     """The voxel's disparity against mean and deviation of those around."""
     middle = np.float32(np.median(own))
     first, second = (
@@ -125,7 +128,7 @@ def _depth(d: F32, seen: F32, known: F32, own: F32, at: Index) -> Found:
         _reduce(np.where(seen, (d - middle) ** 2, 0)),
     )
     for size in CONTEXT_WINDOWS_PX:
-        total = _mean(known, size).take(at) + UNKNOWN
+        total = _mean(known, size).take(at) + _UNKNOWN
         mean = _mean(first, size).take(at) / total
         deviation = np.sqrt(np.maximum(_mean(second, size).take(at) / total - mean * mean, 0))
         off = own - middle - mean
@@ -134,21 +137,21 @@ def _depth(d: F32, seen: F32, known: F32, own: F32, at: Index) -> Found:
         yield f"off_in_deviations_{size}", off / (deviation + np.float32(0.3))
 
 
-def _steps(d: F32, seen: F32, own: F32, at: Index) -> Found:
+def _steps(d: F32, seen: F32, own: F32, at: _Index) -> Found:
     """How much nearer and farther things lie around: beside an edge is the shadow that only one eye
     sees.
     """
     nearest, farthest = (
-        _extreme(np.where(seen, d, -FAR_PX), np.maximum),
-        _extreme(np.where(seen, d, FAR_PX), np.minimum),
+        _extreme(np.where(seen, d, -_FAR_PX), np.maximum),
+        _extreme(np.where(seen, d, _FAR_PX), np.minimum),
     )
     for size in CONTEXT_REACH_PX:
-        box = np.ones((size // STEP | 1, size // STEP | 1), np.uint8)
+        box = np.ones((size // _STEP | 1, size // _STEP | 1), np.uint8)
         yield f"nearer_{size}", np.log1p(np.clip(cv2.dilate(nearest, box).take(at) - own, 0, 200))
         yield f"farther_{size}", np.log1p(np.clip(own - cv2.erode(farthest, box).take(at), 0, 200))
 
 
-def _light(pair: RectifiedPair, disparity: Disparity, at: Index) -> Found:
+def _light(pair: RectifiedPair, disparity: Disparity, at: _Index) -> Found:
     """Gradients along and across rows, and brightness."""
     grey = np.asarray(cv2.cvtColor(pair.left[disparity.region.slices], cv2.COLOR_BGR2GRAY))
     for axis, dx in (("u", 1), ("v", 0)):
@@ -169,31 +172,31 @@ def _log(cue: F32) -> F32:
 
 
 def _reduce(image: F32) -> F32:
-    """Means over squares of `STEP` pixels; those at the right and the lower rim repeat their last
+    """Means over squares of `_STEP` pixels; those at the right and the lower rim repeat their last
     pixels.
     """
     return np.asarray(
-        cv2.resize(_padded(image), None, fx=1 / STEP, fy=1 / STEP, interpolation=cv2.INTER_AREA)
+        cv2.resize(_padded(image), None, fx=1 / _STEP, fy=1 / _STEP, interpolation=cv2.INTER_AREA)
     )
 
 
 def _extreme(image: F32, of: np.ufunc) -> F32:
-    """Least or greatest values of squares of `STEP` pixels."""
+    """Least or greatest values of squares of `_STEP` pixels."""
     height, width = (image := _padded(image)).shape
-    rows = of.reduce(image.reshape(height // STEP, STEP, width), axis=1)
-    return np.asarray(of.reduce([rows[:, column::STEP] for column in range(STEP)], axis=0))
+    rows = of.reduce(image.reshape(height // _STEP, _STEP, width), axis=1)
+    return np.asarray(of.reduce([rows[:, column::_STEP] for column in range(_STEP)], axis=0))
 
 
 def _padded(image: F32) -> F32:
     height, width = image.shape
-    if height % STEP == width % STEP == 0:
+    if height % _STEP == width % _STEP == 0:
         return image
     return np.asarray(
-        cv2.copyMakeBorder(image, 0, -height % STEP, 0, -width % STEP, cv2.BORDER_REPLICATE)
+        cv2.copyMakeBorder(image, 0, -height % _STEP, 0, -width % _STEP, cv2.BORDER_REPLICATE)
     )
 
 
 def _mean(image: F32, size: int) -> F32:
     """Mean over a window of `size` pixels of the full image."""
-    side = max(round(size / STEP), 1) | 1
+    side = max(round(size / _STEP), 1) | 1
     return np.asarray(cv2.blur(image, (side, side), borderType=cv2.BORDER_REPLICATE), np.float32)

@@ -18,6 +18,8 @@ from stereo_ore.types.arrays import (
     RELIEF_CUES,
     RELIEF_WINDOWS_PX,
     U8,
+    Json,
+    JsonMapping,
     Mask,
     check_shape,
 )
@@ -81,6 +83,8 @@ __all__ = [
     "ForeignBody",
     "FrameResult",
     "Grizzly",
+    "Json",
+    "JsonMapping",
     "KeepOut",
     "Mask",
     "Ore",

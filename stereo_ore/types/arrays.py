@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,10 @@ I32 = npt.NDArray[np.int32]
 I16 = npt.NDArray[np.int16]
 U8 = npt.NDArray[np.uint8]
 Mask = npt.NDArray[np.bool_]
+Json = dict[str, Any]
+"""A JSON object that is being made."""
+JsonMapping = Mapping[str, Any]
+"""A JSON object that is only read."""
 
 RELIEF_WINDOWS_PX = (14, 36, 72)
 """Sides of the windows whose planes a disparity is held against."""

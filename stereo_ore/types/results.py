@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from stereo_ore.transforms import apply, rotate
+from stereo_ore.transforms import rotate, transform_points
 from stereo_ore.types.arrays import F32, F64, I32, check_shape
 from stereo_ore.types.stages import (
     Disparity,
@@ -67,11 +67,11 @@ class Solid:
         """
         return replace(
             self,
-            centre_of_gravity=apply(T_target_camera, self.centre_of_gravity),
+            centre_of_gravity=transform_points(T_target_camera, self.centre_of_gravity),
             sigma_m=np.sqrt(T_target_camera[:3, :3] ** 2 @ self.sigma_m**2),
-            box_centre=apply(T_target_camera, self.box_centre),
+            box_centre=transform_points(T_target_camera, self.box_centre),
             axes=rotate(T_target_camera, self.axes),
-            vertices=apply(T_target_camera, self.vertices).astype(np.float32),
+            vertices=transform_points(T_target_camera, self.vertices).astype(np.float32),
         )
 
 
@@ -91,7 +91,7 @@ class Strike:
 
     def moved(self, T_target_camera: F64) -> Strike:
         """Return the strike in another frame."""
-        point = apply(T_target_camera, self.point)
+        point = transform_points(T_target_camera, self.point)
         return replace(self, point=point, direction=rotate(T_target_camera, self.direction))
 
 
@@ -142,7 +142,7 @@ class Ore:
         plan = replace(self.plan, strikes=tuple(strikes))
         arm = replace(
             self,
-            surface_centroid=apply(T_arm_camera, self.surface_centroid),
+            surface_centroid=transform_points(T_arm_camera, self.surface_centroid),
             solid=solid and solid.arm,
             plan=replace(plan, strikes=tuple(s.arm for s in plan.strikes if s.arm is not None)),
         )

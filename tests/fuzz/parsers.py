@@ -136,7 +136,7 @@ PARSERS = {
     "stereo_jpeg": Parser("both.jpg", read_source),
     "svo2": Parser("ride.svo2", read_source),
     "foxglove": Parser("images.mcap", read_source),
-    "background": Parser("empty.npz", background.load),
+    "background": Parser("empty.npz", background.load_background),
     "records": Parser("frames.jsonl", read_records),
     "part": Parser("frames.jsonl.part", read_part),
 }

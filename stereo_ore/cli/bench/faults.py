@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 
 def register(app: typer.Typer) -> None:
@@ -56,14 +56,14 @@ def faults(
         yield from map(fault_scenes.traced, scenes or ())
         for place in range(0 if scenes else count):
             spec = synth.sample_spec(seed + place, families[place % len(families)], size)
-            yield fault_scenes.made(synth.scene(replace(spec, supersampling=1)))
+            yield fault_scenes.made_scenes(synth.scene(replace(spec, supersampling=1)))
 
-    rows: dict[str, bench.Row] = {}
+    rows: dict[str, bench.FaultRow] = {}
     for scene in planted():
-        for name, record in bench.plant(scene, config, only, seed):
-            row = rows.setdefault(name, bench.Row(name))
+        for name, record in bench.plant_fault(scene, config, only, seed):
+            row = rows.setdefault(name, bench.FaultRow(name))
             if fault := row.add(record, 0 if record is None else scene.wrong_targets(record)):
-                log.warning("%s, %s: %s", scene.name, name, fault)
-    typer.echo(bench.markdown(list(rows.values())))
+                _log.warning("%s, %s: %s", scene.name, name, fault)
+    typer.echo(bench.faults_markdown(list(rows.values())))
     if any(row.failed for row in rows.values()):
         raise typer.Exit(3)

@@ -17,7 +17,7 @@ from stereo_ore.errors import SourceError
 if TYPE_CHECKING:
     from stereo_ore.lab.bench.labelled import LabelledCloud
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 
 def register(app: typer.Typer) -> None:
@@ -69,7 +69,7 @@ def filter_(
     kept = bench.judge_clean(clean.clean_clouds(range(1), scanned))
     document = {"paper": paper, "planted": planted, "stereo": stereo, "real": real, "clean": kept}
     document["speed"] = [bench.speed(first.voxels), bench.speed(bench.large_cloud(), repeats=2)]
-    text = tables.markdown(document)
+    text = tables.filter_markdown(document)
     (out / "bench-filter.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
     (out / "bench-filter.md").write_text(text, encoding="utf-8")
     _draw(first, out)
@@ -84,9 +84,9 @@ def _judge(clouds: Iterator[LabelledCloud], total: int, title: str) -> dict[str,
 
     from stereo_ore.lab.bench import filters as bench
 
-    shown = sys.stderr.isatty() and log.isEnabledFor(logging.INFO)
+    shown = sys.stderr.isatty() and _log.isEnabledFor(logging.INFO)
     progress = track(clouds, title, total=total, console=Console(stderr=True), disable=not shown)
-    rows = bench.judge_all(progress)
+    rows = bench.judge_filters(progress)
     cells = bench.means(rows)
     return {
         "cells": cells,

@@ -12,9 +12,9 @@ import typer
 
 from stereo_ore.errors import ConfigError
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
-SMALLEST = 10_000
+_SMALLEST = 10_000
 """Points of the smallest cloud of the filters' growth; each next one has ten times as many."""
 
 
@@ -70,21 +70,21 @@ def speed(
     for name in sizes:
         scene = bench.make_scene(out / "scenes" / name, name)
         for site in (True, False):
-            log.info("%s %s", name, "with site" if site else "without site")
-            frames.append(bench.measure(name, scene, site, rounds))
-    clouds = [n for power in range(4) if (n := SMALLEST * 10**power) <= points]
-    log.info("filters on clouds of %s points", ", ".join(f"{n:,}" for n in clouds) or "no")
-    grown = growth.measure(clouds, limit)
+            _log.info("%s %s", name, "with site" if site else "without site")
+            frames.append(bench.measure_speed(name, scene, site, rounds))
+    clouds = [n for power in range(4) if (n := _SMALLEST * 10**power) <= points]
+    _log.info("filters on clouds of %s points", ", ".join(f"{n:,}" for n in clouds) or "no")
+    grown = growth.measure_growth(clouds, limit)
     machine = _machine()
     document = {
         "machine": machine,
         "frames": [asdict(f) for f in frames],
         "growth": [asdict(g) for g in grown],
     }
-    text = speed_tables.markdown(frames, grown, machine)
+    text = speed_tables.speed_markdown(frames, grown, machine)
     (out / "bench-speed.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
     (out / "bench-speed.md").write_text(text, encoding="utf-8")
-    figures.if_possible(lambda: speed_tables.draw(frames, grown, out / "bench-speed.png"))
+    figures.if_possible(lambda: speed_tables.draw_speed(frames, grown, out / "bench-speed.png"))
     if readme:
         tables.insert(readme, "bench speed", text)
     typer.echo(text)

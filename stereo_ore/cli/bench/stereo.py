@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 
 def register(app: typer.Typer) -> None:
@@ -52,16 +52,16 @@ def stereo(
 
     if out:
         make_folder(out)
-    rows: list[bench.Row] = []
+    rows: list[bench.StereoRow] = []
     sure: list[bench.Sureness] = []
     compared: list[equal_density.Compared] = []
     for data in (data for folder in folders for data in stereo_sets.find_sets(folder)):
-        log.info("%s", data.name)
-        rows += bench.judge_all([data], repeats)
+        _log.info("%s", data.name)
+        rows += bench.judge_matchers([data], repeats)
         sure.append(bench.sureness(data))
         compared += bench.beside_peers(data) if grid and data.volume is None else []
-    text = bench.markdown(rows) + "\n" + bench.sureness_markdown(sure)
-    text += f"\n{equal_density.markdown(compared)}" if compared else ""
+    text = bench.stereo_markdown(rows) + "\n" + bench.sureness_markdown(sure)
+    text += f"\n{equal_density.density_markdown(compared)}" if compared else ""
     if out:
         document = {
             "matchers": [asdict(row) for row in rows],

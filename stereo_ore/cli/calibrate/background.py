@@ -54,9 +54,9 @@ def background(
         # other parts.
         region = matching.narrow(pair, first, None, settings)
         disparities.append(matching.match(pair, region, settings))
-    model = matching.background.build(disparities)
+    model = matching.background.build_background(disparities)
     with writing(out):
-        matching.background.save(model, out)
+        matching.background.save_background(model, out)
     seen = 100 * float(np.isfinite(model.disparity[first.slices]).mean())
     sigma = float(np.nanmedian(model.sigma))
     typer.echo(

@@ -10,8 +10,8 @@ import typer
 
 from stereo_ore.cli.calibrate.options import (
     CalibFile,
-    Eyes,
-    Images,
+    EyesOption,
+    ImagesOption,
     Lens,
     Size,
     Unit,
@@ -20,16 +20,16 @@ from stereo_ore.cli.calibrate.options import (
     writing,
 )
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 
 def import_(
     file: CalibFile,
     out: Annotated[Path, typer.Option("--out", help="Native YAML to write.")],
-    images: Images = None,
+    images: ImagesOption = None,
     size: Size = None,
     unit: Unit = None,
-    eyes: Eyes = None,
+    eyes: EyesOption = None,
     projection: Lens = None,
     to: Annotated[
         str | None, typer.Option("--to", help="Convert a ZED to this resolution.")
@@ -59,10 +59,10 @@ def import_(
 
 def show(
     file: CalibFile,
-    images: Images = None,
+    images: ImagesOption = None,
     size: Size = None,
     unit: Unit = None,
-    eyes: Eyes = None,
+    eyes: EyesOption = None,
     projection: Lens = None,
     picture: Annotated[Path | None, typer.Option(help="PNG to write.")] = None,
 ) -> None:
@@ -70,11 +70,11 @@ def show(
 
     Example: `stereo-ore calibrate show calib/zed2_hd720.yaml --picture camera.png`
     """
-    from stereo_ore.calibrate.show import describe, draw
+    from stereo_ore.calibrate.show import describe_calibration, draw_calibration
 
     calibration = load_any(file, images, size, unit, eyes, projection)
-    typer.echo(describe(calibration))
+    typer.echo(describe_calibration(calibration))
     if picture is not None:
         with writing(picture):
-            draw(calibration, picture)
-        log.info("wrote %s", picture)
+            draw_calibration(calibration, picture)
+        _log.info("wrote %s", picture)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from stereo_ore.io.calibration.readings import PoseTable, Reading
     from stereo_ore.types import StereoCalibration
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 
 def hand_eye(
@@ -82,7 +82,7 @@ def hand_eye(
     if result is not None:
         _show(result)
     if result is None or not _fits(result, limit_mm):
-        log.error("%s", why or _no_fit(result, limit_mm))
+        _log.error("%s", why or _no_fit(result, limit_mm))
         raise typer.Exit(EXIT_QUALITY)
     _write_site(result, out, site, mount)
 
@@ -173,15 +173,15 @@ def _arm_views(source: Path, board: Board, table: PoseTable) -> list[tuple[int, 
     views, _ = find_views(source, board)
     rows = match_names(table.names, [view.name for view in views])
     if any(table.names[row] != name for name, row in rows.items()):
-        log.info(
+        _log.info(
             "names put together by their numbers: %s",
             ", ".join(f"{n} = {table.names[r]}" for n, r in rows.items()),
         )
     for view in views:
         if view.name not in rows:
-            log.warning("%s: no pose in the table", view.name)
+            _log.warning("%s: no pose in the table", view.name)
         elif view.corners is None:
-            log.warning("%s: %s", view.name, view.reason)
+            _log.warning("%s: %s", view.name, view.reason)
     return [
         (rows[view.name], ArmView(view.name, np.eye(4), *view.corners))
         for view in views

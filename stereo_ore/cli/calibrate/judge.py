@@ -8,11 +8,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from stereo_ore.cli.calibrate.options import Eyes, Images, Lens, Size, Unit, load_any, writing
+from stereo_ore.cli.calibrate.options import (
+    EyesOption,
+    ImagesOption,
+    Lens,
+    Size,
+    Unit,
+    load_any,
+    writing,
+)
 from stereo_ore.errors import CalibrationError, SourceError
 
 if TYPE_CHECKING:
-    from stereo_ore.calibrate.check import Known
+    from stereo_ore.calibrate.check import KnownPoint
 
 
 def check(
@@ -26,10 +34,10 @@ def check(
     known: Annotated[
         list[str] | None, typer.Option(help="Pixel in the left image and its distance: U,V,METRES.")
     ] = None,
-    images: Images = None,
+    images: ImagesOption = None,
     size: Size = None,
     unit: Unit = None,
-    eyes: Eyes = None,
+    eyes: EyesOption = None,
     projection: Lens = None,
     picture: Annotated[
         Path | None, typer.Option(help="PNG of the row differences to write.")
@@ -42,7 +50,7 @@ def check(
     640,360,2.41`
     """
     from stereo_ore.calibrate.check import check_pair
-    from stereo_ore.calibrate.check_report import draw, report
+    from stereo_ore.calibrate.check_report import check_report, draw_check
     from stereo_ore.cli import EXIT_QUALITY
     from stereo_ore.io.recordings import open_source
     from stereo_ore.stages.rectify import make_rectifier, rectify
@@ -57,16 +65,16 @@ def check(
     recorded = (pair.left.shape[1], pair.left.shape[0])
     calibration = load_any(calib, images, size, unit, eyes, projection, recorded)
     result = check_pair(pair, calibration, points)
-    typer.echo(report(result))
+    typer.echo(check_report(result))
     if picture is not None:
         with writing(picture):
-            draw(result, rectify(pair, make_rectifier(calibration)).left, picture)
+            draw_check(result, rectify(pair, make_rectifier(calibration)).left, picture)
     if result.verdict in ("wrong", "unclear"):
         raise typer.Exit(EXIT_QUALITY)
 
 
-def _known(text: str) -> Known:
-    from stereo_ore.calibrate.check import Known
+def _known(text: str) -> KnownPoint:
+    from stereo_ore.calibrate.check import KnownPoint
 
     try:
         u, v, distance = (float(part) for part in text.split(","))
@@ -76,4 +84,4 @@ def _known(text: str) -> Known:
         raise CalibrationError(
             f"{text!r}: the distance must be positive, all finite", key="--known"
         )
-    return Known(u, v, distance)
+    return KnownPoint(u, v, distance)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from stereo_ore.io.recordings.base import Source
     from stereo_ore.types import U8, StereoPair
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 _TRIED = 3
 """Pairs in which a board of another size is looked for, when the one that was said is in none."""
@@ -45,13 +45,13 @@ def stereo(
     """
     from dataclasses import replace
 
-    from stereo_ore.calibrate.board import calibrate_stereo, draw_coverage, report
+    from stereo_ore.calibrate.board import board_report, calibrate_stereo, draw_coverage
     from stereo_ore.io.calibration import save
 
     target = board_of(board, square_mm, marker_mm, dictionary)
     views, size = find_views(source, target)
     result = calibrate_stereo(views, target, size, int(coefficients))
-    typer.echo(report(result))
+    typer.echo(board_report(result))
     with writing(out):
         save(replace(result.calibration, camera=name or source.name), out)
     if picture is not None:
@@ -78,7 +78,7 @@ def find_views(source: Path, board: Board) -> tuple[list[BoardView], tuple[int, 
     views: list[BoardView] = []
     size: tuple[int, int] | None = None
     for index, name in enumerate(recording.names):
-        log.info("looking for the board in %s", name)
+        _log.info("looking for the board in %s", name)
         try:
             pair = recording.read(index)
         except FrameError as fault:
@@ -98,7 +98,7 @@ def find_views(source: Path, board: Board) -> tuple[list[BoardView], tuple[int, 
         _refuse_squares(recording, board)
     views = one_layout(views)
     if any(view.legacy for view in views):
-        log.info("the board has the ChArUco layout of OpenCV before 4.6")
+        _log.info("the board has the ChArUco layout of OpenCV before 4.6")
     return views, size
 
 

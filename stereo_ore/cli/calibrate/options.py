@@ -15,10 +15,10 @@ from stereo_ore.errors import CalibrationError, OutputError
 if TYPE_CHECKING:
     from stereo_ore.types import StereoCalibration
 
-SIZES = {"HD2K": (2208, 1242), "HD1080": (1920, 1080), "HD720": (1280, 720), "VGA": (672, 376)}
+_SIZES = {"HD2K": (2208, 1242), "HD1080": (1920, 1080), "HD720": (1280, 720), "VGA": (672, 376)}
 
 CalibFile = Annotated[Path, typer.Argument(help="Calibration in any known format.")]
-Images = Annotated[
+ImagesOption = Annotated[
     Literal["rectified", "raw"] | None,
     typer.Option(help="What the images are, if the file is silent."),
 ]
@@ -38,12 +38,14 @@ Lens = Annotated[
         "--projection", help="Of lenses whose file does not say it; equidistant: cv2.fisheye."
     ),
 ]
-Eyes = Annotated[str | None, typer.Option(help="Left and right camera of a longer chain: L,R.")]
+EyesOption = Annotated[
+    str | None, typer.Option(help="Left and right camera of a longer chain: L,R.")
+]
 
 
 def load_any(
     file: Path,
-    images: Images,
+    images: ImagesOption,
     size: str | None,
     unit: str | None,
     eyes: str | None,
@@ -78,7 +80,7 @@ def parse_unit(text: str) -> float:
 
 def parse_size(text: str) -> tuple[int, int]:
     """``1280x720`` or the name of a ZED mode as (width, height)."""
-    return SIZES.get(text.upper()) or two_numbers(text.lower().replace("×", "x"), "x", "--size")
+    return _SIZES.get(text.upper()) or two_numbers(text.lower().replace("×", "x"), "x", "--size")
 
 
 def two_numbers(text: str, separator: str, option: str) -> tuple[int, int]:

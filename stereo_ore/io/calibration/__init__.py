@@ -26,9 +26,9 @@ from stereo_ore.io.calibration.geometry import Images, check_image_size
 from stereo_ore.io.calibration.native import dump, save
 from stereo_ore.types import StereoCalibration
 
-__all__ = ["FORMATS", "check_image_size", "dump", "load", "save"]
+__all__ = ["CALIBRATION_FORMATS", "check_image_size", "dump", "load", "save"]
 
-FORMATS: dict[str, Format] = {
+CALIBRATION_FORMATS: dict[str, Format] = {
     "native": native,
     "zed": zed,
     "orbslam": orbslam,
@@ -85,7 +85,9 @@ def load(
     path = pycamcalib.text_of(Path(path))
     text = read_file(path)
     hints = Hints(images, image_size, unit_m, eyes, projection, recorded_size)
-    for reader in FORMATS.values():
+    for reader in CALIBRATION_FORMATS.values():
         if reader.recognises(text):
             return reader.read(path, text, hints)
-    raise CalibrationError(f"is in no known calibration format ({', '.join(FORMATS)})", file=path)
+    raise CalibrationError(
+        f"is in no known calibration format ({', '.join(CALIBRATION_FORMATS)})", file=path
+    )

@@ -24,7 +24,7 @@ from stereo_ore.io.calibration.geometry import make_calibration
 from stereo_ore.transforms import inverse, nearest_rotation
 from stereo_ore.types import F64, CameraModel, StereoCalibration
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 HALF_PIXEL = 0.5
 """COLMAP's image begins at the corner of the first pixel, OpenCV's at its middle."""
@@ -74,7 +74,7 @@ def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
             raise CalibrationError(f"camera {index} has no pose or no model", file=rig_file)
     T = poses[right] @ inverse(poses[left])
     if hints.unit_m is None:
-        log.warning(
+        _log.warning(
             "%s: the scale of a COLMAP model is free; its unit is taken for a metre (--unit says"
             " otherwise)",
             path,

@@ -20,7 +20,7 @@ from stereo_ore.io.calibration.geometry import COEFFICIENTS, Images, other_units
 from stereo_ore.io.yaml_io import MAX_BYTES, decode_text, read_text
 from stereo_ore.types import F64, StereoCalibration
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 Projection = Literal["pinhole", "equidistant"]
 
@@ -253,7 +253,7 @@ def tell_unread(path: Path, entries: Mapping[str, Any], what: str = "") -> None:
         )
         raise CalibrationError(problem, file=path, remedy=remedy)
     if unread:
-        log.warning("%s: %sentries not understood: %s", path, what, ", ".join(unread))
+        _log.warning("%s: %sentries not understood: %s", path, what, ", ".join(unread))
 
 
 def _counts(value: Any) -> bool:

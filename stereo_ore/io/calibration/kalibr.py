@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from stereo_ore.config.validation import nearest
+from stereo_ore.config.validation import nearest_word
 from stereo_ore.errors import CalibrationError
 from stereo_ore.io.calibration.file_storage import plain_yaml
 from stereo_ore.io.calibration.formats import Hints, numbers, size_of, tell_unread
@@ -62,7 +62,8 @@ def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
     for index in (left, right):
         if index not in chain:
             raise CalibrationError(
-                f"has no cam{index}{nearest(f'cam{index}', (f'cam{i}' for i in chain))}", file=path
+                f"has no cam{index}{nearest_word(f'cam{index}', (f'cam{i}' for i in chain))}",
+                file=path,
             )
     if hints.images == "rectified":
         raise CalibrationError("Kalibr describes raw images, not rectified ones", file=path)
@@ -102,7 +103,7 @@ def _cameras(path: Path, data: dict[str, Any]) -> dict[int, dict[str, Any]]:
 def _get(path: Path, name: str, camera: dict[str, Any], key: str) -> Any:
     if key not in camera:
         raise CalibrationError(
-            f"key is missing{nearest(key, map(str, camera))}", file=path, key=f"{name}.{key}"
+            f"key is missing{nearest_word(key, map(str, camera))}", file=path, key=f"{name}.{key}"
         )
     return camera[key]
 

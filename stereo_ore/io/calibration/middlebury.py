@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from stereo_ore.config.validation import nearest
+from stereo_ore.config.validation import nearest_word
 from stereo_ore.errors import CalibrationError
 from stereo_ore.io.calibration.formats import Hints, numbers, size_of, tell_unread
 from stereo_ore.io.calibration.geometry import make_calibration
@@ -74,7 +74,7 @@ def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
 def _text(path: Path, entries: dict[str, str], key: str) -> str:
     if key not in entries:
         raise CalibrationError(
-            f"key is missing{nearest(key, filter(None, entries))}", file=path, key=key
+            f"key is missing{nearest_word(key, filter(None, entries))}", file=path, key=key
         )
     return entries[key]
 

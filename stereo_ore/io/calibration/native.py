@@ -16,7 +16,7 @@ from stereo_ore.io.calibration.geometry import Images, make_calibration, rotatio
 from stereo_ore.io.yaml_io import parse_yaml
 from stereo_ore.types import CameraModel, StereoCalibration
 
-FORMAT = "stereo_ore/stereo-calibration"
+_FORMAT = "stereo_ore/stereo-calibration"
 
 
 class _Eye(Section):
@@ -48,7 +48,7 @@ class _File(Section):
 
 def recognises(text: str) -> bool:
     """Whether the text says that it is this format."""
-    return FORMAT in text
+    return _FORMAT in text
 
 
 def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
@@ -70,7 +70,7 @@ def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
 def dump(calibration: StereoCalibration) -> str:
     """YAML text that `read` takes back to the same calibration, bit for bit."""
     document = {
-        "format": FORMAT,
+        "format": _FORMAT,
         "version": 1,
         "camera": calibration.camera,
         "image_size": list(calibration.image_size),

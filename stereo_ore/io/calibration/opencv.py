@@ -28,7 +28,7 @@ from stereo_ore.io.calibration.geometry import make_calibration
 from stereo_ore.io.calibration.opencv_names import also, sort_entries
 from stereo_ore.types import F64, CameraModel, StereoCalibration
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 _MODEL = re.compile(
     r"(camera|distortion|lens|projection)?_?(model|type)$|fish_?eye(_?model)?$|(is|use)_?fish_?eye$",
@@ -57,10 +57,10 @@ def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
     CalibrationError
         When an entry is missing, with the names it may have; when a lens model is not understood.
     """
-    return combine(path, parse_storage(path, text), hints)
+    return combine_storages(path, parse_storage(path, text), hints)
 
 
-def combine(path: Path, entries: dict[str, Any], hints: Hints) -> StereoCalibration:
+def combine_storages(path: Path, entries: dict[str, Any], hints: Hints) -> StereoCalibration:
     """The calibration in the entries of a file, whatever they are called."""
     found, unread, fisheye = sort_entries(path, entries)
     if not {"K1", "R"} <= found.keys() and any(word in path.name for word in _HALVES[1]):
@@ -143,7 +143,7 @@ def _projection(
         )
     four = any(len(found.get(key, ())) == 4 and found[key].any() for key in ("D1", "D2"))
     if four and not said and hints.projection is None:
-        log.warning(
+        _log.warning(
             "%s: four distortion coefficients, read as k1 k2 p1 p2 of a pinhole camera; "
             "if they are those of cv2.fisheye, say --projection equidistant",
             path,
@@ -160,7 +160,7 @@ def _check_lenses(path: Path, found: dict[str, F64], projection: Projection) -> 
         )
         raise CalibrationError(problem, file=path, remedy="A lens without distortion has zeros")
     if missing:
-        log.warning("%s: no distortion found; the lenses are taken for ideal ones", path)
+        _log.warning("%s: no distortion found; the lenses are taken for ideal ones", path)
     elif projection == "equidistant" and any(len(found[key]) != 4 for key in ("D1", "D2")):
         raise CalibrationError("a fisheye lens has 4 coefficients", file=path, key="D1")
 

@@ -26,7 +26,7 @@ from stereo_ore.io.calibration.geometry import make_calibration
 from stereo_ore.transforms import inverse, rotation_fault
 from stereo_ore.types import CameraModel, StereoCalibration
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 _KNOWN = re.compile(
     r"(LEFT|RIGHT)\.(K|D|R|P|width|height)|Camera[12]\..*|Camera\.(type|fx|fy|cx|cy|bf|bFishEye|width|height|newWidth|"
@@ -73,7 +73,7 @@ def _version_2(path: Path, data: dict[str, Any], hints: Hints) -> StereoCalibrat
         eyes.append(
             eye | size | {"model": "plumb_bob" if len(eye["D"]) <= 5 else "rational_polynomial"}
         )
-    return ros.combine((path, path), eyes[0], eyes[1], hints)
+    return ros.combine_infos((path, path), eyes[0], eyes[1], hints)
 
 
 def _version_3(path: Path, data: dict[str, Any], hints: Hints) -> StereoCalibration:
@@ -93,7 +93,7 @@ def _version_3(path: Path, data: dict[str, Any], hints: Hints) -> StereoCalibrat
     )
     left, right = (_camera(path, data, name, kind) for name in ("Camera1", "Camera2"))
     if any(left.distortion) != any(right.distortion):
-        log.warning("%s: only one eye has distortion; the other is taken for an ideal lens", path)
+        _log.warning("%s: only one eye has distortion; the other is taken for an ideal lens", path)
     return make_calibration(
         path,
         image_size=size_of(path, size, hints),

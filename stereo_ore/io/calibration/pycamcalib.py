@@ -23,7 +23,7 @@ from stereo_ore.io.calibration.formats import (
 from stereo_ore.io.calibration.geometry import UNITS_M, make_calibration
 from stereo_ore.types import CameraModel, StereoCalibration
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 POSE = "_TransformationMatrix.json"
 _EYES = ("camera_1_parameters.json", "camera_2_parameters.json")
@@ -50,7 +50,7 @@ def text_of(path: Path) -> Path:
     beside = path.with_name(path.stem + POSE)
     if path.suffix.lower() not in (".h5", ".hdf5") or not beside.is_file():
         return path
-    log.info("%s: read from %s beside it", path, beside.name)
+    _log.info("%s: read from %s beside it", path, beside.name)
     return beside
 
 

@@ -21,13 +21,13 @@ SAME_UNIT = 0.05
 SAME_TURNS_RAD = 0.05
 """A reading whose turns differ by more from the board's on average is none."""
 
-NAMES = {
+_NAMES = {
     "rotvec": "rotation vectors",
     "xyzw": "quaternions x y z w",
     "wxyz": "quaternions with w first",
     "inverse": "arm_from_tool was inverted: poses of the base seen from the tool",
 }
-ORDERS = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")
+_ORDERS = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")
 """R is the product of the turns about the columns' axes in this order: zyx =
 Rz(rz)·Ry(ry)·Rx(rx)."""
 
@@ -64,8 +64,8 @@ class Reading:
     def words(self) -> str:
         """What the table holds, in words."""
         kind, _, unit = self.rotation.partition("-")
-        if kind in NAMES:
-            text = NAMES[kind] + (
+        if kind in _NAMES:
+            text = _NAMES[kind] + (
                 f" in {'degrees' if unit == 'deg' else 'radians'}" if unit else ""
             )
         else:
@@ -74,7 +74,7 @@ class Reading:
             text = (
                 f"Euler angles in {'degrees' if unit == 'deg' else 'radians'}, {turns} ({columns})"
             )
-        text += f"; {NAMES['inverse']}" if self.inverse else ""
+        text += f"; {_NAMES['inverse']}" if self.inverse else ""
         text += f"; {self.unit} for metres" if self.unit != "m" else ""
         return text + (
             f"; left-handed axes (turn the sign of {self.mirror})" if self.mirror else ""
@@ -97,7 +97,7 @@ def parse_reading(code: str) -> Reading:
 def _codes() -> list[str]:
     euler = [
         f"{order}{end}-{unit}"
-        for order in (*ORDERS, "zyz", "zxz")
+        for order in (*_ORDERS, "zyz", "zxz")
         for end in ("", "r")
         for unit in ("rad", "deg")
     ]

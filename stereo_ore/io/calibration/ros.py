@@ -58,10 +58,10 @@ def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
     """
     files = other_eye(path, _EYES)
     left, right = (_eye(file, text if file == path else read_file(file), hints) for file in files)
-    return combine(files, left, right, hints)
+    return combine_infos(files, left, right, hints)
 
 
-def combine(
+def combine_infos(
     files: tuple[Path, Path], left: dict[str, Any], right: dict[str, Any], hints: Hints
 ) -> StereoCalibration:
     """The calibration of two eyes given as K (9,), D, R (9,), P (12,), width, height, model (of the

@@ -19,4 +19,4 @@ def recognises(text: str) -> bool:
 
 def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
     """The calibration in the file, whose entries are OpenCV's under other names."""
-    return opencv.combine(path, parse_storage(path, text), hints)
+    return opencv.combine_storages(path, parse_storage(path, text), hints)

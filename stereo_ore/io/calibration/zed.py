@@ -9,13 +9,13 @@ import configparser
 import re
 from pathlib import Path
 
-from stereo_ore.config.validation import nearest
+from stereo_ore.config.validation import nearest_word
 from stereo_ore.errors import CalibrationError
 from stereo_ore.io.calibration.formats import Hints, Projection, tell_unread, without_tail
 from stereo_ore.io.calibration.geometry import make_calibration
 from stereo_ore.types import CameraModel, StereoCalibration
 
-SIZES = {
+ZED_SIZES = {
     "2K": (2208, 1242),
     "FHD": (1920, 1080),
     "FHD1200": (1920, 1200),
@@ -71,7 +71,7 @@ def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
     shift = [_stereo(path, stereo, (name,), mode, missing=0.0) for name in ("ty", "tz")]
     return make_calibration(
         path,
-        image_size=SIZES[mode],
+        image_size=ZED_SIZES[mode],
         left=eyes["left"],
         right=eyes["right"],
         rotation=rotation,
@@ -107,8 +107,8 @@ def _numbers(path: Path, section: str, items: configparser.SectionProxy) -> Valu
 
 
 def _mode(path: Path, sections: dict[str, Values], size: tuple[int, int] | None) -> str:
-    present = [mode for mode in SIZES if f"left_cam_{mode}".lower() in sections]
-    names = ", ".join(f"{mode} ({SIZES[mode][0]}×{SIZES[mode][1]})" for mode in present)
+    present = [mode for mode in ZED_SIZES if f"left_cam_{mode}".lower() in sections]
+    names = ", ".join(f"{mode} ({ZED_SIZES[mode][0]}×{ZED_SIZES[mode][1]})" for mode in present)
     if size is None and len(present) == 1:
         return present[0]
     if size is None:
@@ -116,7 +116,7 @@ def _mode(path: Path, sections: dict[str, Values], size: tuple[int, int] | None)
             f"holds several resolutions: {names}", file=path, remedy="Say which with --size WxH"
         )
     for mode in present:
-        if SIZES[mode] == tuple(size):
+        if ZED_SIZES[mode] == tuple(size):
             return mode
     raise CalibrationError(
         f"has no calibration for images of {size[0]}×{size[1]} px, only {names or 'none'}",
@@ -128,7 +128,7 @@ def _require(path: Path, values: Values, key: str, section: str) -> float:
     if key in values:
         return values[key]
     raise CalibrationError(
-        f"key is missing{nearest(key, values)}", file=path, key=f"[{section}] {key}"
+        f"key is missing{nearest_word(key, values)}", file=path, key=f"[{section}] {key}"
     )
 
 

@@ -16,7 +16,7 @@ from stereo_ore.io.clouds.pcd import Viewpoint
 from stereo_ore.io.clouds.records import Records, from_array, from_columns, xyz
 
 __all__ = [
-    "FORMATS",
+    "CLOUD_FORMATS",
     "Records",
     "Viewpoint",
     "format_of",
@@ -28,9 +28,9 @@ __all__ = [
     "xyz",
 ]
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
-FORMATS: Mapping[str, tuple[Callable[[Path], Records], Callable[[Path, Records], None]]] = {
+CLOUD_FORMATS: Mapping[str, tuple[Callable[[Path], Records], Callable[[Path, Records], None]]] = {
     ".ply": (ply.read, ply.write),
     ".pcd": (pcd.read, pcd.write),
     ".xyz": (text.read, text.write),
@@ -48,10 +48,10 @@ FORMATS: Mapping[str, tuple[Callable[[Path], Records], Callable[[Path, Records],
 def format_of(path: Path) -> str:
     """The format a file's name stands for; CloudError for an unknown one."""
     suffix = path.suffix.lower()
-    if suffix not in FORMATS:
+    if suffix not in CLOUD_FORMATS:
         raise CloudError(f"{suffix or 'a name without an ending'} is no known cloud format",
         file=path,
-                         remedy=f"Use one of {', '.join(FORMATS)}")  # fmt: skip
+                         remedy=f"Use one of {', '.join(CLOUD_FORMATS)}")  # fmt: skip
     return suffix
 
 
@@ -64,7 +64,7 @@ def read(path: Path) -> Records:
         When the file is missing, damaged, of an unknown format, has no x, y, z, or claims more than
         it holds.
     """
-    reader, _ = FORMATS[format_of(path)]
+    reader, _ = CLOUD_FORMATS[format_of(path)]
     try:
         if path.exists() and not path.is_file():
             raise CloudError("is no file", file=path, remedy="Name a file of points")
@@ -79,7 +79,7 @@ def viewpoint(path: Path) -> Viewpoint | None:
     """Where the sensor was: x, y, z and a quaternion with w first, of a PCD file that does not say
     the origin.
     """
-    return pcd.viewpoint(path) if format_of(path) == ".pcd" else None
+    return pcd.pcd_viewpoint(path) if format_of(path) == ".pcd" else None
 
 
 def write(path: Path, records: Records, viewpoint: Viewpoint | None = None) -> None:
@@ -94,9 +94,9 @@ def write(path: Path, records: Records, viewpoint: Viewpoint | None = None) -> N
     OutputError
         When the file can't be written.
     """
-    _, writer = FORMATS[format_of(path)]
+    _, writer = CLOUD_FORMATS[format_of(path)]
     if viewpoint is not None and writer is not pcd.write:
-        log.warning("%s: this format has no place for the viewpoint %s", path, viewpoint)
+        _log.warning("%s: this format has no place for the viewpoint %s", path, viewpoint)
     partial = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -8,7 +8,7 @@ import numpy as np
 
 from stereo_ore.io.clouds.records import Columns, Records, columns_of, from_columns
 
-RGB = ("red", "green", "blue")
+_RGB = ("red", "green", "blue")
 SHIFTS = (16, 8, 0, 24)
 """Bits by which red, green, blue and alpha are shifted in a packed colour."""
 
@@ -18,7 +18,7 @@ def unpack(records: Records) -> Records:
     bytes.
     """
     columns = columns_of(records)
-    for packed, names in (("rgb", RGB), ("rgba", (*RGB, "alpha"))):
+    for packed, names in (("rgb", _RGB), ("rgba", (*_RGB, "alpha"))):
         column = columns.get(packed)
         if column is None or column.dtype.itemsize != 4 or set(names) & columns.keys():
             continue
@@ -31,7 +31,7 @@ def unpack(records: Records) -> Records:
     return from_columns(columns) if columns else records
 
 
-def pack(records: Records) -> Records:
+def pack_rgb(records: Records) -> Records:
     """The records with red, green, blue as one field ``rgb``, or with alpha as ``rgba``, where they
     are bytes.
 
@@ -39,7 +39,7 @@ def pack(records: Records) -> Records:
     ``pcl_pcd2ply`` writes four bytes for the three that it announces where ``rgb`` is whole.
     """
     columns = columns_of(records)
-    names = (*RGB, "alpha") if "alpha" in columns else RGB
+    names = (*_RGB, "alpha") if "alpha" in columns else _RGB
     if not set(names) <= columns.keys() or any(columns[name].dtype != np.uint8 for name in names):
         return records
     packed = np.zeros(len(records), np.uint32)
@@ -56,7 +56,7 @@ def as_bytes(columns: Columns) -> Columns:
     """Columns called red, green, blue and alpha as bytes, where they are whole numbers from 0 to
     255.
     """
-    names = [name for name in (*RGB, "alpha") if name in columns]
+    names = [name for name in (*_RGB, "alpha") if name in columns]
     fits = all(
         columns[name].dtype.kind in "iu"
         and (not columns[name].size or 0 <= columns[name].min() <= columns[name].max() <= 255)

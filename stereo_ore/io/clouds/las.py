@@ -23,18 +23,18 @@ from stereo_ore.io.clouds.records import (
     require_xyz,
 )
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 FINEST = 1e-5
 """Scale of the coordinates in the file's unit, where 32 bits allow it; laspy's own 0.01 would round
 to centimetres."""
 
-RGB = ("red", "green", "blue")
-HEADER_BYTES, VLR_BYTES, EVLR_BYTES = 375, 54, 60
+_RGB = ("red", "green", "blue")
+_HEADER_BYTES, VLR_BYTES, EVLR_BYTES = 375, 54, 60
 """Of LAS 1.4: its header, and the heads of its variable-length records before and behind the
 points."""
 
-COMPRESSED, MOST_TIMES = 0x80, 1000
+_COMPRESSED, _MOST_TIMES = 0x80, 1000
 """Flag of LAZ in the point format, and how many times it may make points smaller."""
 
 OWN = ("X", "Y", "Z")
@@ -73,7 +73,7 @@ def read(path: Path) -> Records:
         if (
             name not in OWN
             and (column := np.asarray(cloud[name])).ndim == 1
-            and (column.any() or name in RGB)
+            and (column.any() or name in _RGB)
         ):
             columns[name] = column
     return require_xyz(from_columns(_eight_bits(columns)), path)
@@ -84,7 +84,7 @@ def _check_header(path: Path) -> None:
     for them all.
     """
     with path.open("rb") as file:
-        head = file.read(HEADER_BYTES)
+        head = file.read(_HEADER_BYTES)
     if head[:4] != b"LASF" or len(head) < 227:
         raise CloudError(
             "does not begin with a LAS header", file=path, remedy="Is it a LAS or LAZ file?"
@@ -94,21 +94,21 @@ def _check_header(path: Path) -> None:
         struct.unpack_from("<HIIBHI", head, 94),
     )
     late, start_late = 0, size
-    if header >= HEADER_BYTES and len(head) == HEADER_BYTES:
+    if header >= _HEADER_BYTES and len(head) == _HEADER_BYTES:
         start_late, late, points = struct.unpack_from("<QIQ", head, 235)
     require_bytes(records * VLR_BYTES, min(start, size) - header, path, "records")
     require_bytes(late * EVLR_BYTES, size - start_late, path, "records")
-    if path.suffix.lower() == ".las" and not kind & COMPRESSED:
+    if path.suffix.lower() == ".las" and not kind & _COMPRESSED:
         require_bytes(points * length, size - start, path)
-    require_bytes(points * length // MOST_TIMES, size - start, path)
+    require_bytes(points * length // _MOST_TIMES, size - start, path)
 
 
 def _eight_bits(columns: Columns) -> Columns:
     """Colours as bytes: LAS has 16 bits, which some writers fill and others do not."""
-    if not set(RGB) <= columns.keys():
+    if not set(_RGB) <= columns.keys():
         return columns
-    full = any(len(columns[name]) and columns[name].max() > 255 for name in RGB)
-    return columns | {name: (columns[name] >> (8 if full else 0)).astype(np.uint8) for name in RGB}
+    full = any(len(columns[name]) and columns[name].max() > 255 for name in _RGB)
+    return columns | {name: (columns[name] >> (8 if full else 0)).astype(np.uint8) for name in _RGB}
 
 
 def write(path: Path, records: Records) -> None:
@@ -131,12 +131,12 @@ def write(path: Path, records: Records) -> None:
             remedy="Write PLY or PCD",
         )
     has_colours = all(
-        columns.get(name) is not None and columns[name].dtype == np.uint8 for name in RGB
+        columns.get(name) is not None and columns[name].dtype == np.uint8 for name in _RGB
     )
     header = laspy.LasHeader(point_format=7 if has_colours else 6, version="1.4")
     header.offsets, header.scales = _frame(xyz)
     known = {name.lower() for name in header.point_format.dimension_names}
-    extra = {name: column for name, column in columns.items() if not (has_colours and name in RGB)}
+    extra = {name: column for name, column in columns.items() if not (has_colours and name in _RGB)}
     names = _dimension_names(list(extra), known)
     for name, column in zip(names, extra.values(), strict=True):
         header.add_extra_dim(laspy.ExtraBytesParams(name=name, type=_storable(column).dtype))
@@ -145,7 +145,7 @@ def write(path: Path, records: Records) -> None:
     for name, column in zip(names, extra.values(), strict=True):
         cloud[name] = _storable(column)
     if has_colours:
-        for name in RGB:
+        for name in _RGB:
             cloud[name] = columns[name].astype(np.uint16) * 257
     with path.open("wb") as file:
         cloud.write(file, do_compress=path.suffix.lower() == ".laz")
@@ -172,7 +172,7 @@ def _dimension_names(names: list[str], known: set[str]) -> list[str]:
         short = f"{short[:28]}_x" if short.lower() in known or short in found else short
         found.append(short)
     if found != names:
-        log.warning(
+        _log.warning(
             "columns renamed for LAS: %s",
             ", ".join(f"{a} → {b}" for a, b in zip(names, found, strict=True) if a != b),
         )

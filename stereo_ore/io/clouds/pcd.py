@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stereo_ore.errors import CloudError
-from stereo_ore.io.clouds.colours import pack, unpack
+from stereo_ore.io.clouds.colours import pack_rgb, unpack
 from stereo_ore.io.clouds.lzf import MOST_TIMES, decompress
 from stereo_ore.io.clouds.records import (
     Records,
@@ -27,13 +27,13 @@ from stereo_ore.io.clouds.records import (
 )
 from stereo_ore.io.clouds.rows import parse_rows
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
-KINDS = {"F": "f", "I": "i", "U": "u"}
-MOST_FIELDS, LONGEST_NUMBER = 10_000, 20
-SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
+_KINDS = {"F": "f", "I": "i", "U": "u"}
+MOST_FIELDS, _LONGEST_NUMBER = 10_000, 20
+_SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
 
-GEOMETRY = ("x", "y", "z", "nx", "ny", "nz", "normal_x", "normal_y", "normal_z")
+_GEOMETRY = ("x", "y", "z", "nx", "ny", "nz", "normal_x", "normal_y", "normal_z")
 """Fields that PCL and Open3D take as 4-byte floats only: they see zeros or nothing where these are
 doubles."""
 
@@ -110,7 +110,7 @@ def _compressed(
     return points
 
 
-def viewpoint(path: Path) -> Viewpoint | None:
+def pcd_viewpoint(path: Path) -> Viewpoint | None:
     """Where the sensor of a PCD file was, when that is not the origin."""
     with path.open("rb") as file:
         words = _header(file, path).get("VIEWPOINT", [])
@@ -147,17 +147,17 @@ def _dtype(header: dict[str, list[str]], path: Path) -> np.dtype[np.void]:
     repeats = header.get("COUNT", ["1"] * len(names))
     if not len(names) == len(sizes) == len(types) == len(repeats):
         raise CloudError("FIELDS, SIZE, TYPE and COUNT differ in length", file=path)
-    if not all(word.isdigit() and len(word) < LONGEST_NUMBER for word in (*sizes, *repeats)):
+    if not all(word.isdigit() and len(word) < _LONGEST_NUMBER for word in (*sizes, *repeats)):
         raise CloudError("SIZE and COUNT must be whole numbers", file=path)
     if sum(map(int, repeats)) > MOST_FIELDS:
         raise CloudError(f"COUNT gives more than {MOST_FIELDS:,} values a point", file=path)
     fields = []
     for i, (name, size, kind, repeat) in enumerate(zip(names, sizes, types, repeats, strict=True)):
-        if kind not in KINDS or int(size) not in SIZES[kind]:
+        if kind not in _KINDS or int(size) not in _SIZES[kind]:
             raise CloudError(f"has the type {kind}{size}×{repeat}", file=path, key=name)
         own = f"{PADDING}{i}" if name == "_" else name
         parts = [own] if repeat == "1" else [f"{own}_{j}" for j in range(int(repeat))]
-        fields += [(part, f"<{KINDS[kind]}{size}") for part in parts]
+        fields += [(part, f"<{_KINDS[kind]}{size}") for part in parts]
     if len({name for name, _ in fields}) < len(fields):
         raise CloudError("has a field name twice", file=path, key="FIELDS")
     return np.dtype(fields)
@@ -165,7 +165,7 @@ def _dtype(header: dict[str, list[str]], path: Path) -> np.dtype[np.void]:
 
 def _count(header: dict[str, list[str]], path: Path) -> int:
     words = header.get("POINTS") or [*header.get("WIDTH", ["?"]), *header.get("HEIGHT", ["1"])]
-    if not all(word.isdigit() and len(word) < LONGEST_NUMBER for word in words):
+    if not all(word.isdigit() and len(word) < _LONGEST_NUMBER for word in words):
         raise CloudError("the number of points is missing or is no number", file=path, key="POINTS")
     return math.prod(int(word) for word in words)
 
@@ -178,7 +178,7 @@ def write(path: Path, records: Records, viewpoint: Viewpoint | None = None) -> N
     CloudError
         When 4 bytes would move points by more than `MOST_MOVED` of the cloud's extent.
     """
-    records = fit_names(pack(records))
+    records = fit_names(pack_rgb(records))
     columns = {name: _storable(name, column) for name, column in columns_of(records).items()}
     names, types = list(columns), [column.dtype for column in columns.values()]
     header = [
@@ -201,7 +201,7 @@ def _storable(name: str, column: npt.NDArray[Any]) -> npt.NDArray[Any]:
         return column.astype(np.uint8)
     if kind != "f":
         return column.astype(column.dtype.newbyteorder("<"))
-    if name not in GEOMETRY:
+    if name not in _GEOMETRY:
         return column.astype("<f4" if column.dtype.itemsize <= 4 else "<f8")
     with np.errstate(over="ignore"):
         single = column.astype("<f4")

@@ -24,16 +24,16 @@ from stereo_ore.io.clouds.records import (
 )
 from stereo_ore.io.clouds.rows import parse_rows
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
-TYPES = {
+_TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2",
     "ushort": "u2",
     "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4",
     "float32": "f4",
     "double": "f8", "float64": "f8",
 }  # fmt: skip
-NAMES = {
+_NAMES = {
     "i1": "char",
     "u1": "uchar",
     "i2": "short",
@@ -43,7 +43,7 @@ NAMES = {
     "f4": "float",
     "f8": "double",
 }
-ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 MAX_HEADER_LINES = 1000
 
 
@@ -97,7 +97,7 @@ def _body(
     start = file.tell()
     left = file.seek(0, 2) - start
     file.seek(start)
-    order = ORDERS[encoding]
+    order = _ORDERS[encoding]
     dtype = np.dtype([(name, order + kind) for name, kind in vertex.properties])
     if encoding == "ascii":
         require_bytes(2 * vertex.count * len(vertex.properties) - 1, left, path)
@@ -138,9 +138,9 @@ def _header(file: BinaryIO, path: Path) -> tuple[str, list[_Element]]:
 
 
 def _encoding(words: list[str], path: Path) -> str:
-    if len(words) < 2 or words[1] not in ORDERS:
+    if len(words) < 2 or words[1] not in _ORDERS:
         raise CloudError(
-            f"format {' '.join(words[1:])!r} is none of {', '.join(ORDERS)}", file=path
+            f"format {' '.join(words[1:])!r} is none of {', '.join(_ORDERS)}", file=path
         )
     return words[1]
 
@@ -157,8 +157,8 @@ def _property(words: list[str], elements: list[_Element], path: Path) -> None:
     element = elements[-1]
     if words[1:2] == ["list"]:
         element.has_list = True
-    elif len(words) == 3 and words[1] in TYPES and words[2] not in dict(element.properties):
-        element.properties.append((words[2], TYPES[words[1]]))
+    elif len(words) == 3 and words[1] in _TYPES and words[2] not in dict(element.properties):
+        element.properties.append((words[2], _TYPES[words[1]]))
     else:
         raise CloudError(
             f"header line {' '.join(words)!r} is no property that can be read", file=path
@@ -176,11 +176,11 @@ def write(path: Path, records: Records) -> None:
             and len(column)
             and np.abs(column).max() > EXACT
         ):
-            log.warning(
+            _log.warning(
                 "column %s: PLY has no whole numbers of 64 bits; they are rounded to doubles", name
             )
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(records)}"]
-    header += [f"property {NAMES[kind]} {name}" for name, kind in fields]
+    header += [f"property {_NAMES[kind]} {name}" for name, kind in fields]
     with path.open("wb") as file:
         file.write(("\n".join([*header, "end_header"]) + "\n").encode("ascii"))
         file.write(
@@ -190,4 +190,4 @@ def write(path: Path, records: Records) -> None:
 
 def _kind(dtype: np.dtype[np.generic]) -> str:
     kind = f"{dtype.kind}{dtype.itemsize}"
-    return {"b1": "u1", "f2": "f4"}.get(kind, kind if kind in NAMES else "f8")
+    return {"b1": "u1", "f2": "f4"}.get(kind, kind if kind in _NAMES else "f8")

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from stereo_ore.errors import CloudError
 from stereo_ore.io.npz_io import LARGEST_SHOWN
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 Records = npt.NDArray[np.void]
 """Structured array (N,) with at least the fields x, y, z; others (colours, normals, anything) ride
@@ -93,7 +93,7 @@ def upright(values: npt.NDArray[Any], path: Path) -> npt.NDArray[Any]:
             file=path,
             remedy=f"Save it as ({columns}, {rows}), or with names (a structured array, CSV)",
         )
-    log.warning(
+    _log.warning(
         "%s: an array of shape %s is read as %s points, a point a column",
         path,
         values.shape,
@@ -132,7 +132,7 @@ def parts_of(name: str, count: int) -> Sequence[str]:
 def tell_left_out(path: Path, names: Sequence[str]) -> None:
     """Say which columns of a file are none of numbers."""
     if names:
-        log.warning("%s: left out, since not one number a point: %s", path, ", ".join(names))
+        _log.warning("%s: left out, since not one number a point: %s", path, ", ".join(names))
 
 
 def known_names(names: Sequence[str]) -> list[str]:
@@ -196,7 +196,7 @@ def fit_names(records: Records) -> Records:
         fitted.append(unique)
     changed = [f"{old} → {new}" for old, new in zip(names, fitted, strict=True) if old != new]
     if changed:
-        log.warning(
+        _log.warning(
             "columns renamed, since PLY and PCD have ASCII names without blanks: %s",
             ", ".join(changed),
         )

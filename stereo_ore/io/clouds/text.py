@@ -32,7 +32,7 @@ from stereo_ore.io.clouds.records import (
     upright,
 )
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 LONGEST_LINE = 100_000
 COMMENT = re.compile(r"\s*(#|//)")
@@ -227,7 +227,7 @@ def _integers(
     try:
         return _load(_rows(path, layout), layout.separator, index, np.int64)[:, 0]
     except (ValueError, OverflowError):
-        log.warning(
+        _log.warning(
             "%s: column %d has whole numbers that 64 bits do not hold; they are rounded",
             path,
             index,
@@ -252,7 +252,7 @@ def write(path: Path, records: Records) -> None:
     formats |= {name: "%.17g" for name, column in columns.items() if column.dtype == np.float64}
     separator = "," if csv else " "
     if not csv and names != ["x", "y", "z"]:
-        log.info("%s: no line of names; the columns are %s", path.name, ", ".join(names))
+        _log.info("%s: no line of names; the columns are %s", path.name, ", ".join(names))
     header = ",".join(re.sub(r'[,;"\s]+', " ", name) for name in names) if csv else ""
     ordered = from_columns({name: columns[name] for name in names})
     line = separator.join(formats[name] for name in names)

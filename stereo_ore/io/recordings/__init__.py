@@ -22,7 +22,7 @@ from stereo_ore.types import StereoPair
 __all__ = [
     "BagOptions",
     "Source",
-    "describe",
+    "describe_recording",
     "expect_eyes",
     "frame_size",
     "limit_pixels",
@@ -30,7 +30,7 @@ __all__ = [
     "open_two_files",
 ]
 
-KINDS = {
+_KINDS = {
     "image pairs": "frame# of two images",
     "side-by-side images": "side-by-side frame#",
     "side-by-side video": "side-by-side frame# of a video",
@@ -122,10 +122,10 @@ def known_layouts() -> str:
     )
 
 
-def describe(source: Source) -> str:
+def describe_recording(source: Source) -> str:
     """One line that says what is taken for what: "120 side-by-side frames of 2 × 1280×720, …"."""
     about, count = source.description, len(source.names)
-    kind = KINDS.get(
+    kind = _KINDS.get(
         about["kind"], "frame# of " + " and ".join(about.get("topics", [about["kind"]]))
     )
     words = f"{count} {kind.replace('#', 's' * (count != 1))}"

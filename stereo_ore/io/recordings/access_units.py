@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 LONGEST_DELAY = 16
 """A decoder gives a picture at most so many units after its own (the standards' largest reorder
 buffer)."""
-START_CODE = b"\x00\x00\x01"
+_START_CODE = b"\x00\x00\x01"
 H264_KEY, H264_PARAMETERS = 5, 7
 H265_KEY, H265_PARAMETERS = range(16, 22), 32
 
@@ -48,10 +48,10 @@ def _parts(unit: bytes) -> list[int]:
     is.
     """
     found: list[int] = []
-    place = unit.find(START_CODE)
+    place = unit.find(_START_CODE)
     while 0 <= place < len(unit) - 3 and len(found) < LONGEST_DELAY:
         found.append(unit[place + 3])
-        place = unit.find(START_CODE, place + 3, place + 4096)
+        place = unit.find(_START_CODE, place + 3, place + 4096)
     return found
 
 

@@ -47,7 +47,7 @@ class BagOptions:
     max_skew_ms: float = 5.0
 
 
-class Entry(NamedTuple):
+class _Entry(NamedTuple):
     """One image in a bag.
 
     When it was recorded (its place in the bag), when it was taken, whether that is the message's
@@ -67,7 +67,7 @@ class Reader:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._bag: Messages | None = None
-        self._videos: dict[str, tuple[UnitDecoder, dict[Entry, int]]] = {}
+        self._videos: dict[str, tuple[UnitDecoder, dict[_Entry, int]]] = {}
 
     def __reduce__(self) -> tuple[type[Reader], tuple[Path]]:
         return Reader, (self.path,)
@@ -84,11 +84,11 @@ class Reader:
         """Topics that carry images."""
         return {topic for topic, kind in self.bag.types.items() if kind in ros_messages.IMAGE_TYPES}
 
-    def entries(self, topics: tuple[str, str]) -> tuple[list[Entry], list[Entry]]:
+    def entries(self, topics: tuple[str, str]) -> tuple[list[_Entry], list[_Entry]]:
         """All images of two topics, by stamp; where a driver leaves the stamp empty, the time of
         recording counts.
         """
-        found: dict[str, list[Entry]] = {topic: [] for topic in topics}
+        found: dict[str, list[_Entry]] = {topic: [] for topic in topics}
         with known_faults(self.path):
             device_ns = {topic: self._device_times(topic) for topic in topics}
             for topic, logged_ns, message in self.bag.messages(topics):
@@ -99,7 +99,7 @@ class Reader:
         )
         return left, right
 
-    def image(self, topic: str, entries: Sequence[Entry], entry: Entry, max_pixels: int) -> Image:
+    def image(self, topic: str, entries: Sequence[_Entry], entry: _Entry, max_pixels: int) -> Image:
         """The picture of an entry: (H, W, 3) BGR, uint8 or uint16; `entries` are all of its topic
         by stamp.
         """
@@ -116,7 +116,7 @@ class Reader:
         decoder, numbers = self._videos[topic]
         return decoder.picture(numbers[entry], max_pixels)
 
-    def _message(self, topic: str, entry: Entry) -> Any:
+    def _message(self, topic: str, entry: _Entry) -> Any:
         """The message of an entry."""
         for _, logged_ns, message in self.bag.messages(
             [topic], entry.logged_ns, entry.logged_ns + 1
@@ -142,13 +142,13 @@ class Reader:
         return {logged_ns: round(1e6 * float(match[1])) for logged_ns, match in times if match}
 
 
-def _entry(logged_ns: int, message: Any, device_ns: Mapping[int, int]) -> Entry:
+def _entry(logged_ns: int, message: Any, device_ns: Mapping[int, int]) -> _Entry:
     video = ros_messages.is_video(message)
     key = video and is_key(bytes(message.data))
     if logged_ns in device_ns:
-        return Entry(logged_ns, device_ns[logged_ns], False, video, key)
+        return _Entry(logged_ns, device_ns[logged_ns], False, video, key)
     stamp_ns = ros_messages.stamp_ns(message)
-    return Entry(logged_ns, stamp_ns or logged_ns, bool(stamp_ns), video, key)
+    return _Entry(logged_ns, stamp_ns or logged_ns, bool(stamp_ns), video, key)
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ class BagPairs:
     path: Path
     names: tuple[str, ...]
     topics: tuple[str, str]
-    entries: tuple[tuple[Entry | None, Entry | None], ...]
+    entries: tuple[tuple[_Entry | None, _Entry | None], ...]
     options: BagOptions
     reader: Reader
     max_pixels: int = MAX_PIXELS
@@ -202,7 +202,7 @@ class BagPairs:
             return calibration_of(self.reader.bag, self.topics, (left, right), self.path)
 
     @cached_property
-    def by_eye(self) -> tuple[list[Entry], list[Entry]]:
+    def by_eye(self) -> tuple[list[_Entry], list[_Entry]]:
         """All images of either eye."""
         left, right = ([entry for pair in self.entries if (entry := pair[eye])] for eye in (0, 1))
         return left, right
@@ -327,7 +327,7 @@ def _folder_of(path: Path) -> Path:
 
 
 def _entries(
-    pair: Pair, left: Sequence[Entry], right: Sequence[Entry]
-) -> tuple[Entry | None, Entry | None]:
+    pair: Pair, left: Sequence[_Entry], right: Sequence[_Entry]
+) -> tuple[_Entry | None, _Entry | None]:
     i, j = pair
     return None if i is None else left[i], None if j is None else right[j]

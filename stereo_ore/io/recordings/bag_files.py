@@ -24,7 +24,7 @@ from stereo_ore.io.recordings.mcap_file import McapFile
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 BAG_SUFFIXES = (".bag", ".mcap", ".db3", ".zstd")
 ROS1_IMAGE = "sensor_msgs/msg/Image"
@@ -171,7 +171,7 @@ def _checkpointed(path: Path) -> Path | None:
     if path.suffix == ".bag" or not logs:
         return None
     folder = Path(tempfile.mkdtemp(prefix="stereo-ore-bag-"))
-    log.info(
+    _log.info(
         "%s has a write-ahead log (%s-wal): read with it from a copy", path, ", ".join(sorted(logs))
     )
     for file in files:

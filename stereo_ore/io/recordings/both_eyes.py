@@ -35,12 +35,12 @@ def read_side_by_side(path: Path, max_pixels: int = MAX_PIXELS) -> tuple[Image, 
         left, right = (decode_image(picture, path, max_pixels) for picture in pair)
         check_alike(left, right, path, "its second picture")
         return left, right
-    packing = packing_of(data, path)
+    packing = _packing_of(data, path)
     image = decode_image(data, path, max_pixels)
     return split_in_two(image, path, packing or "left-right")
 
 
-def packing_of(data: bytes, path: Path) -> str | None:
+def _packing_of(data: bytes, path: Path) -> str | None:
     """What an image file says of its eyes; None: nothing."""
     said = jpeg.jps_packing(data) if data.startswith(JPEG) else None
     return said or ("right-left" if path.suffix.lower() == ".jps" else None)
@@ -51,7 +51,7 @@ def is_stereo_file(path: Path) -> bool:
     `read_image`.
     """
     data = read_bytes(path)
-    return packing_of(data, path) is not None or bool(jpeg.pictures(data))
+    return _packing_of(data, path) is not None or bool(jpeg.pictures(data))
 
 
 def file_notes(path: Path) -> tuple[str, ...]:
@@ -64,7 +64,7 @@ def file_notes(path: Path) -> tuple[str, ...]:
         return ()
     turn, exchanged = (
         turn_of(data),
-        packing_of(data, path) == "right-left" and not jpeg.pictures(data),
+        _packing_of(data, path) == "right-left" and not jpeg.pictures(data),
     )
     return (
         *([f"{path.name} says that the right eye comes first"] if exchanged else ()),

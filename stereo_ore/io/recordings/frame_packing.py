@@ -18,7 +18,7 @@ ARRANGEMENTS = (
 FRAME_PACKING = 45
 RIGHT_FIRST = 2
 """Content interpretation type: the first constituent frame is the right eye."""
-START_CODE = b"\x00\x00\x01"
+_START_CODE = b"\x00\x00\x01"
 _HEADER_BYTES = {0x06: 1, 0x4E: 2}
 """Length of the unit's header by its first byte: messages (SEI) of H.264, and of H.265 before the
 picture."""
@@ -26,7 +26,7 @@ picture."""
 
 def packing_of(access_unit: bytes) -> str | None:
     """As `Container.packing`, of one access unit in Annex B form; None where it says nothing."""
-    for unit in access_unit.split(START_CODE)[1:]:
+    for unit in access_unit.split(_START_CODE)[1:]:
         header = _HEADER_BYTES.get(unit[0] & 0x7F if unit else -1)
         if header:
             for kind, payload in _messages(unit[header:].replace(b"\x00\x00\x03", b"\x00\x00")):

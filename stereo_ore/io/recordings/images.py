@@ -33,7 +33,7 @@ IMAGE_SUFFIXES = (
     ".webp",
     *STEREO_SUFFIXES,
 )
-BYTES_PER_PIXEL, HEADER_BYTES = 8, 1_000_000
+BYTES_PER_PIXEL, _HEADER_BYTES = 8, 1_000_000
 """Four channels of 16 bit, uncompressed, and what else a file may hold."""
 JPEG, _PNG, _TIFF = b"\xff\xd8", b"\x89PNG\r\n\x1a\n", (b"II", b"MM")
 _PNG_END = b"IEND\xaeB`\x82"
@@ -119,7 +119,7 @@ def _check_turns(files: Sequence[tuple[Path, bytes]]) -> None:
 
 def read_bytes(path: Path, max_pixels: int = MAX_PIXELS) -> bytes:
     """The bytes of a file that may be an image of `max_pixels`; errors as those of `read_image`."""
-    most = BYTES_PER_PIXEL * max_pixels + HEADER_BYTES
+    most = BYTES_PER_PIXEL * max_pixels + _HEADER_BYTES
     try:
         if not path.is_file() and path.exists():
             raise FrameError("can't be read: it is no file", code="UNREADABLE_IMAGE", file=path)

@@ -17,7 +17,7 @@ from stereo_ore.errors import SourceError
 from stereo_ore.io.recordings.marks import SEPARATORS, joined, marks, read_marks, without
 from stereo_ore.io.recordings.names import Side
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 Files = dict[str, Path]
 """The files of one eye by the key of their frame."""

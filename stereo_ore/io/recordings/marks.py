@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from stereo_ore.io.recordings.names import Side
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 
 class Mark(NamedTuple):
@@ -123,6 +123,6 @@ def _say_doubt(
     taken: frozenset[tuple[int, int]], equals: Sequence[frozenset[tuple[int, int]]]
 ) -> None:
     if any(other != taken for other in equals):
-        log.warning(
+        _log.warning(
             "names can be read in more than one way; the last mark in a name is taken for the eye's"
         )

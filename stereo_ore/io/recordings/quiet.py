@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable
 from typing import TypeVar
 
-Value = TypeVar("Value")
+_Value = TypeVar("_Value")
 
 _DECODER = re.compile(
     rb"libpng|JPEG|JFIF|Adobe color|Inconsistent"
@@ -22,7 +22,7 @@ _DECODER = re.compile(
 _lock = threading.Lock()
 
 
-def overheard(action: Callable[[], Value]) -> tuple[Value, bytes]:
+def overheard(action: Callable[[], _Value]) -> tuple[_Value, bytes]:
     """The result of `action` and what decoders wrote to standard error meanwhile, which stays
     silent.
 

@@ -120,7 +120,7 @@ def calibration(left: Any, right: Any, rectified: bool, path: Path) -> StereoCal
         When the cameras were never calibrated or contradict each other.
     """
     hints = Hints(images="rectified" if rectified else "raw")
-    return ros.combine((path, path), _eye(left), _eye(right), hints)
+    return ros.combine_infos((path, path), _eye(left), _eye(right), hints)
 
 
 def _eye(info: Any) -> dict[str, Any]:

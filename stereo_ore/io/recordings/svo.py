@@ -39,7 +39,7 @@ FACTORY_CALIBRATION = (
 )
 
 
-class Unit(NamedTuple):
+class _Unit(NamedTuple):
     """One frame in the file: when it was recorded (its place), when it was taken [ns], whether
     decoding can begin.
     """
@@ -83,17 +83,17 @@ class SvoFile:
             remedy="Record it again",
         )
 
-    def units(self) -> tuple[Unit, ...]:
+    def units(self) -> tuple[_Unit, ...]:
         """All frames, in the order in which they were recorded."""
         topic, _ = self.channel()
         with known_faults(self.path):
             return tuple(
-                Unit(logged_ns, _stamp(data) or logged_ns, is_key(data))
+                _Unit(logged_ns, _stamp(data) or logged_ns, is_key(data))
                 for _, logged_ns, data in self.file.raw([topic])
                 if len(data) > FOOTER.size
             )
 
-    def decoder(self, units: tuple[Unit, ...]) -> UnitDecoder:
+    def decoder(self, units: tuple[_Unit, ...]) -> UnitDecoder:
         """The decoder of the frames."""
         if self._decoder is None:
             topic, _ = self.channel()
@@ -127,7 +127,7 @@ class SvoFrames:
     path: Path
     names: tuple[str, ...]
     serial: str
-    units: tuple[Unit, ...]
+    units: tuple[_Unit, ...]
     file: SvoFile
     max_pixels: int = MAX_PIXELS
     eye_size: tuple[int, int] | None = None

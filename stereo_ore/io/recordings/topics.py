@@ -10,7 +10,7 @@ from stereo_ore.errors import CalibrationError, SourceError
 from stereo_ore.io.recordings.names import split_name
 from stereo_ore.types import StereoCalibration
 
-COMPRESSED, DEPTH = "/compressed", "/compressedDepth"
+_COMPRESSED, _DEPTH = "/compressed", "/compressedDepth"
 NUMBERED: tuple[tuple[str, str], ...] = (
     ("infra1", "infra2"),
     ("infrared1", "infrared2"),
@@ -65,7 +65,7 @@ def choose_topics(
                 remedy=f"Image topics: {listing}",
             )
         return wanted
-    pairs = _pairs([topic for topic in topics if not topic.endswith(DEPTH)])
+    pairs = _pairs([topic for topic in topics if not topic.endswith(_DEPTH)])
     pairs = [
         pair
         for pair in pairs
@@ -150,6 +150,6 @@ def _split(part: str) -> tuple[str | None, str]:
 
 
 def _plain(topic: str) -> str:
-    for suffix in (COMPRESSED, "/video"):
+    for suffix in (_COMPRESSED, "/video"):
         topic = topic.removesuffix(suffix)
     return topic

@@ -34,7 +34,7 @@ from stereo_ore.io.recordings.quiet import overheard
 from stereo_ore.io.recordings.stamps import Stamp
 from stereo_ore.types import StampSource, StereoCalibration, StereoPair
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 VIDEO_SUFFIXES = (".avi", ".mkv", ".mov", ".mp4", ".m4v", ".mjpg", ".mjpeg", ".webm")
 
@@ -310,7 +310,7 @@ def _together(
     if len(left_ms) == len(right_ms):
         return [(index, index) for index in range(len(left_ms))]
     gaps = np.diff(left_ms if len(left_ms) > 1 else right_ms)
-    log.warning(
+    _log.warning(
         "the videos have %d and %d pictures: paired by their times", len(left_ms), len(right_ms)
     )
     most_ns = round(5e5 * float(np.median(gaps))) if len(gaps) else 0
@@ -330,14 +330,14 @@ def _open_track(path: Path, said: Container) -> Track:
             remedy="Export it as side-by-side AVI, or as a folder of images",
         )
     if 0 < claim != len(times_ms):
-        log.info(
+        _log.info(
             "%s: the container claims %d pictures, %d can be decoded",
             path.name,
             claim,
             len(times_ms),
         )
     if turn := decoder.turn():
-        log.info(
+        _log.info(
             "%s asks players to turn the picture by %d°; pixels are taken as stored",
             path.name,
             turn,

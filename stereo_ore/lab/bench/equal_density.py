@@ -15,10 +15,10 @@ from stereo_ore.types import F32
 Point = tuple[float, float, float]
 """Density, bad-1, bad-2: shares of the pixels with truth, missing ones counted as bad."""
 
-NEAR_PX = 1.5
+_NEAR_PX = 1.5
 """Sub-pixel errors are compared where both matchers are within this of the truth."""
 
-POINTS = 200
+_POINTS = 200
 """A curve has no more points than this."""
 
 
@@ -40,7 +40,7 @@ class Compared:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class _Verdict:
     """A peer at its best setting for one measure: mean difference in points, sets won, and the
     sets.
     """
@@ -82,7 +82,7 @@ def points_by_confidence(values: F32, confidence: F32, truth: F32) -> list[Point
     if not len(ordered):
         return [(0.0, 1.0, 1.0)]
     last = np.flatnonzero(np.append(np.diff(sure) != 0, True))
-    last = last[np.unique(np.linspace(0, len(last) - 1, min(POINTS, len(last))).astype(int))]
+    last = last[np.unique(np.linspace(0, len(last) - 1, min(_POINTS, len(last))).astype(int))]
     right = [np.cumsum(ordered <= limit)[last] for limit in (1, 2)]
     return [
         ((i + 1) / total, 1 - a / total, 1 - b / total)
@@ -99,9 +99,9 @@ def read_at(curve: Sequence[Point], density: float) -> tuple[float, float]:
 
 
 def rms_ratio(ours: F32, peers: F32, truth: F32) -> float:
-    """RMS of our errors over that of the peer's, where both are within `NEAR_PX` of the truth."""
+    """RMS of our errors over that of the peer's, where both are within `_NEAR_PX` of the truth."""
     a, b = ours - truth, peers - truth
-    both = (np.abs(a) < NEAR_PX) & (np.abs(b) < NEAR_PX)
+    both = (np.abs(a) < _NEAR_PX) & (np.abs(b) < _NEAR_PX)
     return (
         float(np.sqrt(np.mean(a[both] ** 2) / np.mean(b[both] ** 2)))
         if both.any()
@@ -109,7 +109,7 @@ def rms_ratio(ours: F32, peers: F32, truth: F32) -> float:
     )
 
 
-def verdicts(rows: Sequence[Compared]) -> list[Verdict]:
+def verdicts(rows: Sequence[Compared]) -> list[_Verdict]:
     """Each peer at the one setting that is best for it on the mean of all sets, for bad-1 and for
     bad-2.
     """
@@ -123,19 +123,19 @@ def verdicts(rows: Sequence[Compared]) -> list[Verdict]:
     ]
 
 
-def _of(by: Mapping[tuple[str, str], list[Compared]], peer: str, index: int) -> list[Verdict]:
+def _of(by: Mapping[tuple[str, str], list[Compared]], peer: str, index: int) -> list[_Verdict]:
     found = []
     for (name, setting), sets in by.items():
         if name == peer:
             each = [100 * (row.program[index] - row.peers[index]) for row in sets]
             won = sum(value < 0 for value in each)
             found.append(
-                Verdict(peer, f"bad-{index + 1}", setting, float(np.mean(each)), won, sets)
+                _Verdict(peer, f"bad-{index + 1}", setting, float(np.mean(each)), won, sets)
             )
     return found
 
 
-def markdown(rows: Sequence[Compared]) -> str:
+def density_markdown(rows: Sequence[Compared]) -> str:
     """The peers at their best, then set by set."""
     found = verdicts(rows)
     head = [
@@ -160,7 +160,7 @@ def markdown(rows: Sequence[Compared]) -> str:
     return f"{table(head, cells)}\n\nProgram − peer by set, points:\n\n{table(sets, each)}\n"
 
 
-def _set_cells(found: Sequence[Verdict], name: str) -> list[str]:
+def _set_cells(found: Sequence[_Verdict], name: str) -> list[str]:
     rows = [next(row for row in verdict.sets if row.set == name) for verdict in found]
     parts = [100 * (r.program[i % 2] - r.peers[i % 2]) for i, r in enumerate(rows)]
     return [f"{100 * min(row.density for row in rows):.1f}", *(f"{part:+.2f}" for part in parts)]

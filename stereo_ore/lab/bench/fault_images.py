@@ -11,12 +11,12 @@ import numpy as np
 from stereo_ore.lab.bench.fault_scenes import Case, Planted, exposed
 from stereo_ore.types import F32, U8
 
-Eyes = tuple[U8, U8]
-Edit = Callable[[Planted, U8, U8, np.random.Generator], Eyes]
+_Eyes = tuple[U8, U8]
+Edit = Callable[[Planted, U8, U8, np.random.Generator], _Eyes]
 BLOCK_PX, FLAKE_GREY = 16, 235
 
 
-def plant(edit: Edit, planted: Planted, seed: int) -> Case:
+def plant_in_images(edit: Edit, planted: Planted, seed: int) -> Case:
     """The case with the last of two frames edited; both have the noise of their own moment."""
     case, rng = planted.case, np.random.default_rng([seed, 7])
     before, now = (exposed(case.frames[-1], 100 * seed + k) for k in (0, 1))
@@ -38,7 +38,7 @@ def slipped_band(shift_px: int) -> Edit:
     buffer.
     """
 
-    def edit(planted: Planted, left: U8, right: U8, rng: np.random.Generator) -> Eyes:
+    def edit(planted: Planted, left: U8, right: U8, rng: np.random.Generator) -> _Eyes:
         height = right.shape[0]
         top = int(rng.uniform(0.3, 0.5) * height)
         out = right.copy()
@@ -51,7 +51,7 @@ def slipped_band(shift_px: int) -> Edit:
 def wobbling_rows(amplitude_px: float, both: bool = False) -> Edit:
     """Rows swing along themselves: a rolling shutter under vibration."""
 
-    def edit(planted: Planted, left: U8, right: U8, rng: np.random.Generator) -> Eyes:
+    def edit(planted: Planted, left: U8, right: U8, rng: np.random.Generator) -> _Eyes:
         height = right.shape[0]
         turns, phase = rng.uniform(2, 5), rng.uniform(0, 2 * np.pi)
         swing = amplitude_px * np.sin(2 * np.pi * turns * np.arange(height) / height + phase)
@@ -64,7 +64,7 @@ def wobbling_rows(amplitude_px: float, both: bool = False) -> Edit:
 def film(bend_px: float, eye: int = 1) -> Edit:
     """A film of water over the middle of one eye's glass bends its rays along the rows."""
 
-    def edit(planted: Planted, left: U8, right: U8, rng: np.random.Generator) -> Eyes:
+    def edit(planted: Planted, left: U8, right: U8, rng: np.random.Generator) -> _Eyes:
         height, width = right.shape[:2]
         bump = _bell((height, width), rng.uniform(0.4, 0.6, 2), 0.25)
         eyes = [left, right]
@@ -83,7 +83,7 @@ def _bell(shape: tuple[int, int], middle: np.ndarray, width_share: float) -> F32
 def magnifying_drop(gain: float, share: float = 0.1) -> Edit:
     """A drop on the right eye's glass magnifies what lies behind it."""
 
-    def edit(planted: Planted, left: U8, right: U8, rng: np.random.Generator) -> Eyes:
+    def edit(planted: Planted, left: U8, right: U8, rng: np.random.Generator) -> _Eyes:
         height, width = right.shape[:2]
         middle = rng.uniform(0.35, 0.65, 2) * (width, height)
         v, u = np.indices((height, width)).astype(np.float32)
@@ -97,7 +97,7 @@ def magnifying_drop(gain: float, share: float = 0.1) -> Edit:
 def blurring_drop(share: float = 0.1) -> Edit:
     """A drop blurs a part of the right eye."""
 
-    def edit(planted: Planted, left: U8, right: U8, rng: np.random.Generator) -> Eyes:
+    def edit(planted: Planted, left: U8, right: U8, rng: np.random.Generator) -> _Eyes:
         height, width = right.shape[:2]
         u, v = (rng.uniform(0.35, 0.65, 2) * (width, height)).astype(int)
         part = np.zeros((height, width), np.float32)
@@ -112,7 +112,7 @@ def blurring_drop(share: float = 0.1) -> Edit:
 def lost_blocks(share: float) -> Edit:
     """Blocks of the right eye show what a decoder left in the block beside them."""
 
-    def edit(planted: Planted, left: U8, right: U8, rng: np.random.Generator) -> Eyes:
+    def edit(planted: Planted, left: U8, right: U8, rng: np.random.Generator) -> _Eyes:
         out = right.copy()
         rows, columns = right.shape[0] // BLOCK_PX, right.shape[1] // BLOCK_PX
         for place in rng.choice(rows * columns, int(share * rows * columns), replace=False):
@@ -128,7 +128,7 @@ def lost_blocks(share: float) -> Edit:
 def flakes(count: int, size_m: float) -> Edit:
     """Snow in the air between camera and screen, seen by both eyes."""
 
-    def edit(planted: Planted, left: U8, right: U8, rng: np.random.Generator) -> Eyes:
+    def edit(planted: Planted, left: U8, right: U8, rng: np.random.Generator) -> _Eyes:
         return _with_flakes(planted, left, right, rng, count, size_m)
 
     return edit
@@ -136,7 +136,7 @@ def flakes(count: int, size_m: float) -> Edit:
 
 def _with_flakes(
     planted: Planted, left: U8, right: U8, rng: np.random.Generator, count: int, size_m: float
-) -> Eyes:
+) -> _Eyes:
     rig, plane = planted.rig, planted.case.site.plane
     assert plane is not None, "the plane is known"
     eyes = (left.copy(), right.copy())

@@ -15,14 +15,13 @@ from stereo_ore.io.recordings import open_source
 from stereo_ore.lab import synth
 from stereo_ore.lab.bench.scene_files import load_rig
 from stereo_ore.lab.evaluate.truth import load_truth
-from stereo_ore.record import Json
 from stereo_ore.stages.rectify import make_rectifier
-from stereo_ore.transforms import apply
-from stereo_ore.types import F64, U8, Mask, Rig, Site, StereoCalibration, StereoPair
+from stereo_ore.transforms import transform_points
+from stereo_ore.types import F64, U8, Json, Mask, Rig, Site, StereoCalibration, StereoPair
 
 LIMIT_M, LIMIT_SHARE = 0.03, 0.03
 """A strike this far from each lump, or this share of its distance from the camera, is wrong."""
-FIRST_LUMP, TOOL = 2, 255
+_FIRST_LUMP, _TOOL = 2, 255
 """Labels of the true instances: lumps from the first of these on, but for the breaker's hammer."""
 NOISE_GREY = 0.7
 """Standard deviation of what another exposure differs by."""
@@ -63,7 +62,7 @@ class Planted:
         return bool(off > max(LIMIT_M, LIMIT_SHARE * point["camera"][2]))
 
 
-def made(scene: synth.Scene) -> Planted:
+def made_scenes(scene: synth.Scene) -> Planted:
     """A made-up scene."""
     case = Case((scene.pair,), scene.calibration, scene.site)
     return _planted(scene.spec.name, case, scene.depth_m.astype(float), scene.instance)
@@ -88,12 +87,16 @@ def traced(folder: Path) -> Planted:
 
 
 def _planted(name: str, case: Case, depth_m: F64, instance: Any) -> Planted:
-    ore = (instance >= FIRST_LUMP) & (instance != TOOL) & np.isfinite(depth_m)
+    ore = (instance >= _FIRST_LUMP) & (instance != _TOOL) & np.isfinite(depth_m)
     v, u = np.nonzero(ore)
     rig = make_rectifier(case.calibration).rig
     T = case.site.T_arm_camera
     assert T is not None, "the arm's frame is known"
-    points = apply(T, rig.back_project(u, v, depth_m[ore])) if len(u) else np.full((1, 3), np.inf)
+    points = (
+        transform_points(T, rig.back_project(u, v, depth_m[ore]))
+        if len(u)
+        else np.full((1, 3), np.inf)
+    )
     return Planted(name, case, rig, depth_m, ore, KDTree(points))
 
 

@@ -16,10 +16,10 @@ OTHER_ZED_BASELINE = 0.063 / 0.12
 WIDTH_RATIO = 2208 / 1920
 """What scaling a focal length by the width makes of 2K for 1080p, which is a crop."""
 
-Fault = Callable[[Case], Case]
+_Fault = Callable[[Case], Case]
 
 
-def _images(change: Callable[[U8, U8], tuple[U8, U8]]) -> Fault:
+def _images(change: Callable[[U8, U8], tuple[U8, U8]]) -> _Fault:
     def plant(case: Case) -> Case:
         left, right = change(case.frames[-1].left, case.frames[-1].right)
         pair = replace(
@@ -30,22 +30,22 @@ def _images(change: Callable[[U8, U8], tuple[U8, U8]]) -> Fault:
     return plant
 
 
-def _calibration(change: Callable[[StereoCalibration], StereoCalibration]) -> Fault:
+def _calibration(change: Callable[[StereoCalibration], StereoCalibration]) -> _Fault:
     return lambda case: replace(case, calibration=change(case.calibration))
 
 
-def _scaled_focal(factor: float) -> Fault:
+def _scaled_focal(factor: float) -> _Fault:
     def scaled(eye: CameraModel) -> CameraModel:
         return replace(eye, focal_px=(factor * eye.focal_px[0], factor * eye.focal_px[1]))
 
     return _calibration(lambda c: replace(c, left=scaled(c.left), right=scaled(c.right)))
 
 
-def _offset(shift_px: float) -> Fault:
+def _offset(shift_px: float) -> _Fault:
     return _calibration(lambda c: replace(c, disparity_offset_px=c.disparity_offset_px + shift_px))
 
 
-def _right_column(shift_px: float) -> Fault:
+def _right_column(shift_px: float) -> _Fault:
     """The principal column of one eye is off: all disparities are."""
 
     def shifted(c: StereoCalibration) -> StereoCalibration:
@@ -55,7 +55,7 @@ def _right_column(shift_px: float) -> Fault:
     return _calibration(shifted)
 
 
-def _rotation(change: Callable[[F64], F64]) -> Fault:
+def _rotation(change: Callable[[F64], F64]) -> _Fault:
     def changed(c: StereoCalibration) -> StereoCalibration:
         vector = np.asarray(cv2.Rodrigues(c.R_right_left)[0], np.float64).ravel()
         return replace(c, R_right_left=np.asarray(cv2.Rodrigues(change(vector))[0], np.float64))
@@ -63,11 +63,11 @@ def _rotation(change: Callable[[F64], F64]) -> Fault:
     return _calibration(changed)
 
 
-def _baseline(factor: float) -> Fault:
+def _baseline(factor: float) -> _Fault:
     return _calibration(lambda c: replace(c, t_right_left=factor * c.t_right_left))
 
 
-def _columns(shift_px: float) -> Fault:
+def _columns(shift_px: float) -> _Fault:
     """The principal columns of both eyes are off."""
 
     def shifted(eye: CameraModel) -> CameraModel:
@@ -77,7 +77,7 @@ def _columns(shift_px: float) -> Fault:
     return _calibration(lambda c: replace(c, left=shifted(c.left), right=shifted(c.right)))
 
 
-def _bumped(turn_deg: tuple[float, float, float], raised: float = 0.0) -> Fault:
+def _bumped(turn_deg: tuple[float, float, float], raised: float = 0.0) -> _Fault:
     """The camera was turned about its axes, and raised by a share of its height; the site is that
     of the old pose.
     """
@@ -88,12 +88,12 @@ def _bumped(turn_deg: tuple[float, float, float], raised: float = 0.0) -> Fault:
         T_old_new = np.eye(4)
         T_old_new[:3, :3] = cv2.Rodrigues(np.radians(turn_deg))[0]
         T_old_new[:3, 3] = -plane.offset * raised * plane.normal
-        return replace(case, site=moved(case.site, T_old_new))
+        return replace(case, site=_moved(case.site, T_old_new))
 
     return bump
 
 
-def moved(site: Site, T_old_new: F64) -> Site:
+def _moved(site: Site, T_old_new: F64) -> Site:
     """The site as it is taken to be in the frame of a camera that has moved since: X_old =
     T_old_new · X_new.
     """
@@ -108,7 +108,7 @@ def moved(site: Site, T_old_new: F64) -> Site:
     )
 
 
-def _yawed(angle_deg: float) -> Fault:
+def _yawed(angle_deg: float) -> _Fault:
     """The right eye turned about its vertical axis: its image is warped by the homography of this
     rotation.
     """
@@ -123,14 +123,14 @@ def _yawed(angle_deg: float) -> Fault:
     return yawed
 
 
-def _slid(along_m: tuple[float, float, float]) -> Fault:
+def _slid(along_m: tuple[float, float, float]) -> _Fault:
     """The camera was moved along its axes [m]; the site is that of the old pose."""
     T_old_new = np.eye(4)
     T_old_new[:3, 3] = along_m
-    return lambda case: replace(case, site=moved(case.site, T_old_new))
+    return lambda case: replace(case, site=_moved(case.site, T_old_new))
 
 
-FAULTS: dict[str, Fault] = {
+FAULTS: dict[str, _Fault] = {
     "eyes swapped": _images(lambda left, right: (right, left)),
     "left eye black": _images(lambda left, right: (np.zeros_like(left), right)),
     "right eye black": _images(lambda left, right: (left, np.zeros_like(right))),
@@ -156,7 +156,7 @@ FAULTS: dict[str, Fault] = {
 }  # fmt: skip
 """Faults of a scene with rectified images."""
 
-SMALL_FAULTS: dict[str, Fault] = {
+SMALL_FAULTS: dict[str, _Fault] = {
     **{
         f"baseline {100 * b:+.1f} %": _baseline(1 + b)
         for b in (-0.02, -0.01, -0.005, 0.005, 0.01, 0.02)
@@ -174,7 +174,7 @@ SMALL_FAULTS: dict[str, Fault] = {
 }
 """Errors of set-up of about the size at which a strike begins to be wrong."""
 
-RAW_FAULTS: dict[str, Fault] = {
+RAW_FAULTS: dict[str, _Fault] = {
     "rotation ignored": _rotation(lambda v: 0 * v),
     "rotation transposed": _rotation(lambda v: -v),
     "convergence (CV) off by 0.4°": _rotation(lambda v: v + np.radians([0, 0.4, 0])),

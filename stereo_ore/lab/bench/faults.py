@@ -16,16 +16,16 @@ from stereo_ore.config import Config
 from stereo_ore.errors import StereoOreError
 from stereo_ore.lab.bench import fault_images, fault_setup
 from stereo_ore.lab.bench.fault_scenes import Case, Planted, exposed
-from stereo_ore.record import Json
 from stereo_ore.runs.driver import frame_lines
 from stereo_ore.runs.history import Watch
+from stereo_ore.types import Json
 
 SOUND = "none"
 """The name of no fault."""
 
 
 @dataclass
-class Row:
+class FaultRow:
     """What became of a fault over all scenes; `wrong` are targets on no lump, `wrong_ok_frames` the
     frames with any.
     """
@@ -73,7 +73,7 @@ def judge(case: Case, config: Config) -> Json | None:
     return record
 
 
-def plant(
+def plant_fault(
     planted: Planted, config: Config, only: str = "", seed: int = 0
 ) -> Iterator[tuple[str, Json | None]]:
     """Each fault whose name `only` is found in, with the record that comes of it in a scene."""
@@ -91,10 +91,10 @@ def _cases(planted: Planted, seed: int) -> Iterator[tuple[str, Callable[[], Case
     for name, fault in setup.items():
         yield name, partial(fault, noisy)
     for name, edit in {} if raw else fault_images.EDITS.items():
-        yield name, partial(fault_images.plant, edit, planted, seed)
+        yield name, partial(fault_images.plant_in_images, edit, planted, seed)
 
 
-def markdown(rows: Sequence[Row]) -> str:
+def faults_markdown(rows: Sequence[FaultRow]) -> str:
     """A line a fault."""
     statuses = ("ok", "degraded", "empty", "failed", "refused")
     heads = (

@@ -23,7 +23,7 @@ to be found."""
 
 
 @dataclass(frozen=True)
-class Row:
+class _Row:
     """One filter on one cloud; shares are 0…1. `noise_left` is among the kept; `bars_kept` of the
     bars' good points.
     """
@@ -42,7 +42,7 @@ class Row:
     bars_kept: float | None
 
 
-def judge(labelled: LabelledCloud, contender: Contender) -> Row:
+def judge_filter(labelled: LabelledCloud, contender: Contender) -> _Row:
     """The best that a contender may show on a cloud."""
     judged = slice(None) if labelled.judged is None else labelled.judged
     noise = labelled.is_noise[judged]
@@ -52,17 +52,17 @@ def judge(labelled: LabelledCloud, contender: Contender) -> Row:
     bars = None if labelled.on_bar is None else labelled.on_bar[judged] & ~noise
     bars_kept = None if bars is None or not bars.any() else float((~removed[bars]).mean())
     left = float(kept_noise / max(kept, 1))
-    return Row(
+    return _Row(
         labelled.name, labelled.cell, contender.label, setting, len(noise), float(noise.mean()),
         **quality.as_dict(), noise_left=left, bars_kept=bars_kept,
     )  # fmt: skip
 
 
-def judge_all(
+def judge_filters(
     clouds: Iterable[LabelledCloud], contenders: Sequence[Contender] = CONTENDERS
-) -> list[Row]:
+) -> list[_Row]:
     """Every contender on every cloud."""
-    return [judge(labelled, contender) for labelled in clouds for contender in contenders]
+    return [judge_filter(labelled, contender) for labelled in clouds for contender in contenders]
 
 
 def judge_clean(clouds: Iterable[LabelledCloud]) -> list[dict[str, Any]]:
@@ -83,13 +83,13 @@ def judge_clean(clouds: Iterable[LabelledCloud]) -> list[dict[str, Any]]:
     ]
 
 
-def means(rows: Sequence[Row]) -> list[dict[str, Any]]:
+def means(rows: Sequence[_Row]) -> list[dict[str, Any]]:
     """Mean figures of each filter in each cell, in order of appearance."""
     keys = list(dict.fromkeys((row.cell, row.filter) for row in rows))
     return [_mean([row for row in rows if (row.cell, row.filter) == key]) for key in keys]
 
 
-def _mean(rows: Sequence[Row]) -> dict[str, Any]:
+def _mean(rows: Sequence[_Row]) -> dict[str, Any]:
     out: dict[str, Any] = {"cell": rows[0].cell, "filter": rows[0].filter, "clouds": len(rows)}
     for name in (
         "noise_share",

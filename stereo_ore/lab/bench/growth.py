@@ -20,7 +20,7 @@ from stereo_ore.types import F32
 
 K = 16
 NOISE_SHARE = 0.15
-ROUNDS = 3
+_ROUNDS = 3
 ONCE_FROM = 1_000_000
 SPACING_M = 0.001
 """Of the cloud's points; also where radii come from."""
@@ -58,7 +58,7 @@ def rough_surface(points: int, seed: int = 0) -> F32:
     return xyz.astype(np.float32)
 
 
-def measure(sizes: Sequence[int], limit_s: float) -> list[GrowthRow]:
+def measure_growth(sizes: Sequence[int], limit_s: float) -> list[GrowthRow]:
     """All filters at all sizes; a filter whose next size would take longer than `limit_s` is left
     out from there on.
     """
@@ -98,7 +98,7 @@ def _measure(points: int, names: Sequence[str]) -> dict[str, GrowthRow]:
     xyz = rough_surface(points)
     tasks = {name: FILTERS[name](xyz) for name in names}
     runs: dict[str, list[tuple[float, float | None]]] = {name: [] for name in names}
-    for _ in range(ROUNDS if points < ONCE_FROM else 1):
+    for _ in range(_ROUNDS if points < ONCE_FROM else 1):
         for name, task in tasks.items():
             runs[name].append(_cost(task))
     return {

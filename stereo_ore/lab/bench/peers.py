@@ -17,10 +17,10 @@ from stereo_ore.lab.bench.equal_density import Point, points_by_confidence, qual
 from stereo_ore.lab.bench.stereo_sets import StereoSet
 from stereo_ore.types import F32, U8
 
-BLOCKS, UNIQUENESS, SHOWN = (3, 5, 7), (0, 5, 10, 15, 20, 25, 40), 20
-"""Settings tried; the disparities of `SHOWN` are those whose sub-pixel errors are compared."""
+BLOCKS, UNIQUENESS, _SHOWN = (3, 5, 7), (0, 5, 10, 15, 20, 25, 40), 20
+"""Settings tried; the disparities of `_SHOWN` are those whose sub-pixel errors are compared."""
 
-MODES = {"3WAY": cv2.STEREO_SGBM_MODE_SGBM_3WAY, "HH": cv2.STEREO_SGBM_MODE_HH}
+_MODES = {"3WAY": cv2.STEREO_SGBM_MODE_SGBM_3WAY, "HH": cv2.STEREO_SGBM_MODE_HH}
 P1, P2, CAP, LR_PX, SPECKLE, SPECKLE_RANGE = 8, 32, 63, 1, 100, 2
 """OpenCV's sample's: penalties times channels and block area, and what it drops."""
 
@@ -45,13 +45,13 @@ def grid(data: StereoSet) -> Iterator[Peer]:
         eyes = _padded(data, colour == "colour")
         for block in BLOCKS:
             words = f"block {block}, {colour}"
-            for name in MODES:
+            for name in _MODES:
                 found = {u: _sgbm(data, eyes, name, block, u) for u in UNIQUENESS}
                 yield Peer(
                     name,
                     words,
                     [quality(values - data.truth) for values in found.values()],
-                    found[SHOWN],
+                    found[_SHOWN],
                 )
             values, sure = _wls(data, eyes, block)
             yield Peer("WLS", words, points_by_confidence(values, sure, data.truth), values)
@@ -74,7 +74,7 @@ def _matcher(
     area = channels * block * block
     lr, uniqueness, speckle, step = checks
     return cv2.StereoSGBM.create(
-        0, n, block, P1 * area, P2 * area, lr, CAP, uniqueness, speckle, step, MODES[name]
+        0, n, block, P1 * area, P2 * area, lr, CAP, uniqueness, speckle, step, _MODES[name]
     )
 
 

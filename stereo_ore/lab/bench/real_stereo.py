@@ -28,13 +28,13 @@ from stereo_ore.types import (
     StereoPair,
 )
 
-FARTHEST_M, LEAST_PX = 2000.0, 1.0
+_FARTHEST_M, _LEAST_PX = 2000.0, 1.0
 """No point is farther, nor has a smaller disparity where the eyes' centres agree."""
 
 LEAST_KNOWN = 13
 """True disparities, of the 25 pixels around, that a voxel needs to be judged."""
 
-Rng = np.random.Generator
+_Rng = np.random.Generator
 
 
 def real_cloud(found: StereoSet, name: str = "") -> LabelledCloud:
@@ -46,7 +46,7 @@ def real_cloud(found: StereoSet, name: str = "") -> LabelledCloud:
         When the pair gives no cloud.
     """
     pair, rig = found.pair, found.pair.rig
-    farthest = min(FARTHEST_M, rig.fx * rig.baseline_m / max(rig.doffs_px, LEAST_PX))
+    farthest = min(_FARTHEST_M, rig.fx * rig.baseline_m / max(rig.doffs_px, _LEAST_PX))
     config = Config(filter=FilterConfig(method="none"), cloud=CloudConfig(max_depth_m=farthest))
     chain = Chain(_calibration(rig, found.name), Site(), config)
     grid = chain(StereoPair(pair.left, pair.right, name=found.name)).voxels
@@ -80,7 +80,7 @@ def _judged(xyz: F32, true: F64, rig: Rig) -> np.ndarray:
     )
 
 
-def altered(found: StereoSet, way: str, rng: Rng) -> StereoSet:
+def altered(found: StereoSet, way: str, rng: _Rng) -> StereoSet:
     """A set whose eyes got other light, or little of it, or are out of focus: a key of `WAYS`."""
     left, right = (image.astype(np.float32) for image in (found.pair.left, found.pair.right))
     left, right = WAYS[way](rng, left, right)
@@ -92,7 +92,7 @@ def _stored(image: F32) -> U8:
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 
-def _noisy(rng: Rng, image: F32, amount: float) -> F32:
+def _noisy(rng: _Rng, image: F32, amount: float) -> F32:
     """Shot noise: its variance grows with the light."""
     noise = rng.normal(size=image.shape) * amount * np.sqrt(np.maximum(image, 1) / 40)
     return np.asarray(image + noise, np.float32)
@@ -104,29 +104,29 @@ def _slope(image: F32) -> tuple[F32, F32]:
     return y[..., None], x[..., None]
 
 
-def _field(rng: Rng, image: F32, amount: float) -> F32:
+def _field(rng: _Rng, image: F32, amount: float) -> F32:
     """A smooth positive field of light about 1."""
     coarse = rng.normal(size=(4, 5)).astype(np.float32)
     smooth = cv2.resize(coarse, image.shape[1::-1], interpolation=cv2.INTER_CUBIC)
     return np.asarray(np.exp(amount * smooth)[..., None], np.float32)
 
 
-def _darker(rng: Rng, left: F32, right: F32) -> tuple[F32, F32]:
+def _darker(rng: _Rng, left: F32, right: F32) -> tuple[F32, F32]:
     return left, right * np.float32(rng.uniform(0.35, 0.7))
 
 
-def _brighter(rng: Rng, left: F32, right: F32) -> tuple[F32, F32]:
+def _brighter(rng: _Rng, left: F32, right: F32) -> tuple[F32, F32]:
     """Clipped, and of another gamma."""
     light = np.clip(right * rng.uniform(1.3, 1.9), 0, 255) / 255
     return left, np.asarray(255 * light ** rng.uniform(0.7, 0.9), np.float32)
 
 
-def _dark(rng: Rng, left: F32, right: F32) -> tuple[F32, F32]:
+def _dark(rng: _Rng, left: F32, right: F32) -> tuple[F32, F32]:
     dark = np.float32(rng.uniform(0.15, 0.35))
     return _noisy(rng, left * dark, 2), _noisy(rng, right * dark, 2)
 
 
-def _vignetting(rng: Rng, left: F32, right: F32) -> tuple[F32, F32]:
+def _vignetting(rng: _Rng, left: F32, right: F32) -> tuple[F32, F32]:
     y, x = _slope(left)
     corners = 1 - np.float32(0.3) * (x * x + y * y)
     return _noisy(rng, left * corners, 3), _noisy(
@@ -134,7 +134,7 @@ def _vignetting(rng: Rng, left: F32, right: F32) -> tuple[F32, F32]:
     )
 
 
-def _blurred(rng: Rng, left: F32, right: F32) -> tuple[F32, F32]:
+def _blurred(rng: _Rng, left: F32, right: F32) -> tuple[F32, F32]:
     """Also under a slope of light."""
     soft = cv2.GaussianBlur(right, (0, 0), float(rng.uniform(0.7, 1.3)))
     return left, np.asarray(
@@ -142,11 +142,11 @@ def _blurred(rng: Rng, left: F32, right: F32) -> tuple[F32, F32]:
     )
 
 
-def _other_light(rng: Rng, left: F32, right: F32) -> tuple[F32, F32]:
+def _other_light(rng: _Rng, left: F32, right: F32) -> tuple[F32, F32]:
     return left * _field(rng, left, 0.15), right * _field(rng, right, 0.35)
 
 
-WAYS: Mapping[str, Callable[[Rng, F32, F32], tuple[F32, F32]]] = {
+WAYS: Mapping[str, Callable[[_Rng, F32, F32], tuple[F32, F32]]] = {
     "right darker": _darker,
     "right brighter": _brighter,
     "both dark": _dark,

@@ -29,7 +29,7 @@ from stereo_ore.types import FrameResult, Site
 SEED = 2
 """Of the scene, a screen of real size with distorted eyes: rectifying belongs to a frame."""
 
-PLAIN_FOCAL_PX, PLAIN_DISPARITIES = 530.0, 128
+PLAIN_FOCAL_PX, _PLAIN_DISPARITIES = 530.0, 128
 """Plain matchers search so many disparities at this focal length, and as near at others."""
 
 PLAIN = {"3WAY": cv2.STEREO_SGBM_MODE_SGBM_3WAY, "SGBM": cv2.STEREO_SGBM_MODE_SGBM}
@@ -71,7 +71,7 @@ def make_scene(folder: Path, size: str) -> Path:
     return folder
 
 
-def measure(size: str, scene: Path, site: bool, rounds: int) -> FrameCost:
+def measure_speed(size: str, scene: Path, site: bool, rounds: int) -> FrameCost:
     """What a frame costs, in a process of its own: memory that another size has left behind does
     not count.
     """
@@ -149,7 +149,7 @@ def _plain_matchers(result: FrameResult) -> dict[str, Callable[[], object]]:
 
 
 def _plain_disparities(focal_px: float) -> int:
-    return max(16, 16 * round(PLAIN_DISPARITIES * focal_px / PLAIN_FOCAL_PX / 16))
+    return max(16, 16 * round(_PLAIN_DISPARITIES * focal_px / PLAIN_FOCAL_PX / 16))
 
 
 def _total(times: Mapping[str, float], without: tuple[str, ...]) -> float:

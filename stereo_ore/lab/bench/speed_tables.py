@@ -13,7 +13,7 @@ from stereo_ore.lab.bench.speed import PLAIN, FrameCost
 from stereo_ore.lab.bench.tables import table
 
 
-def markdown(
+def speed_markdown(
     frames: Sequence[FrameCost], growth: Sequence[GrowthRow], machine: Mapping[str, Any]
 ) -> str:
     """All tables."""
@@ -109,7 +109,7 @@ def _mb(value: float | None) -> str:
     return "–" if value is None else f"{value:.0f}"
 
 
-def draw(frames: Sequence[FrameCost], growth: Sequence[GrowthRow], path: Path) -> None:
+def draw_speed(frames: Sequence[FrameCost], growth: Sequence[GrowthRow], path: Path) -> None:
     """Write a picture: stages of a frame as stacked bars beside the plain matchers, and the
     filters' growth.
     """

@@ -20,13 +20,13 @@ from stereo_ore.types import F32, F64, Disparity, Mask
 
 Matcher = Callable[[StereoSet], F32 | F64]
 
-PLAIN_DISPARITIES, PLAIN_WIDTH = 128, 1280
+_PLAIN_DISPARITIES, PLAIN_WIDTH = 128, 1280
 """What plain 3WAY searches over the whole image, at this width: the reference of time for a matcher
 with a site."""
 
 
 @dataclass(frozen=True)
-class Row:
+class StereoRow:
     """One matcher on one set: shares in % of the pixels with truth, missing ones counted as bad;
     times in ms.
 
@@ -103,7 +103,7 @@ def opencv_3way(data: StereoSet) -> F64:
     """Plain 3WAY on grey images over the whole image, 128 disparities at 1280 px: the reference of
     time.
     """
-    count = 16 * -(-data.pair.rig.width * PLAIN_DISPARITIES // PLAIN_WIDTH // 16)
+    count = 16 * -(-data.pair.rig.width * _PLAIN_DISPARITIES // PLAIN_WIDTH // 16)
     grey = [cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) for image in (data.pair.left, data.pair.right)]
     matcher = cv2.StereoSGBM.create(
         0, count, 5, 200, 800, 1, 31, 10, 100, 32, cv2.STEREO_SGBM_MODE_SGBM_3WAY
@@ -119,7 +119,7 @@ MATCHERS: dict[str, Matcher] = {
 }
 
 
-def judge_all(sets: Iterable[StereoSet], repeats: int = 3) -> Iterator[Row]:
+def judge_matchers(sets: Iterable[StereoSet], repeats: int = 3) -> Iterator[StereoRow]:
     """Every matcher on every set, in turns, so that a busy machine slows all of them alike."""
     for data in sets:
         found = {name: matcher(data) for name, matcher in MATCHERS.items()}
@@ -154,13 +154,13 @@ def sureness(data: StereoSet) -> Sureness:
     return Sureness(data.name, area_under_roc(said, right), *reliability(said, right))
 
 
-def _rows(data: StereoSet, matcher: str, disparity: F32 | F64, ms: float) -> Iterator[Row]:
+def _rows(data: StereoSet, matcher: str, disparity: F32 | F64, ms: float) -> Iterator[StereoRow]:
     known = np.isfinite(data.truth)
     scopes: dict[str, Mask | None] = {"all": known, "seen": data.seen, "ore": data.ore}
     for scope, where in scopes.items():
         if where is not None and (where & known).any():
             error = np.asarray(disparity - data.truth, float)[where & known]
-            yield Row(data.name, matcher, scope, **_quality(error), ms=ms)
+            yield StereoRow(data.name, matcher, scope, **_quality(error), ms=ms)
 
 
 def _quality(error: F64) -> dict[str, float]:
@@ -195,7 +195,7 @@ def sureness_markdown(found: Sequence[Sureness]) -> str:
     return f"Share within 1 px of the truth, by the confidence said:\n\n{table(head, rows)}\n"
 
 
-def markdown(rows: Sequence[Row]) -> str:
+def stereo_markdown(rows: Sequence[StereoRow]) -> str:
     """One table a scope."""
     parts = []
     for scope, title in (
@@ -222,7 +222,7 @@ def markdown(rows: Sequence[Row]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _cells(row: Row) -> list[str]:
+def _cells(row: StereoRow) -> list[str]:
     shares = [f"{value:.1f}" for value in (row.density, row.bad1, row.bad2, row.bad2_found)]
     return [row.set, row.matcher, *shares, f"{row.median:.3f}", f"{row.ms:.0f}"]
 

@@ -54,7 +54,7 @@ def find_sets(folder: Path) -> Iterator[StereoSet]:
         "disp0GT.pfm": middlebury,
         "disp1.png": middlebury_2006,
         "aloeGT.png": aloe,
-        "gt.npz": traced,
+        "gt.npz": traced_sets,
     }
     found = sorted(
         (path.parent, reader) for name, reader in readers.items() for path in folder.rglob(name)
@@ -101,7 +101,7 @@ def aloe(folder: Path) -> StereoSet:
     )
 
 
-def traced(folder: Path) -> StereoSet:
+def traced_sets(folder: Path) -> StereoSet:
     """A scene folder with calibration, working volume and exact truth; what lies outside the volume
     does not count.
     """

@@ -9,7 +9,7 @@ from typing import Any
 from stereo_ore.errors import OutputError
 
 
-def markdown(document: dict[str, Any]) -> str:
+def filter_markdown(document: dict[str, Any]) -> str:
     """The tables of a `bench filter` result."""
     parts = [_section("The paper's protocol", document["paper"])]
     titles = {

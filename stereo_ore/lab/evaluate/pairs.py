@@ -15,7 +15,7 @@ from stereo_ore.io.results import Results
 
 
 @dataclass(frozen=True)
-class Pair:
+class TruthPair:
     """A scene folder and the run folder and frame that are its result."""
 
     scene: Path
@@ -39,7 +39,7 @@ class Pair:
         return float(timing["total_ms"]) if timing else None
 
 
-def find_pairs(results: Path, truth: Path) -> list[Pair]:
+def find_pairs(results: Path, truth: Path) -> list[TruthPair]:
     """Pairs of the scenes in `truth` and the frames in `results`, sorted by scene.
 
     `truth` is a scene folder or a folder of them. `results` is one run folder, whose frames carry
@@ -63,14 +63,16 @@ def find_pairs(results: Path, truth: Path) -> list[Pair]:
             remedy="A scene folder has calib.json and gt.json",
         )
     if (results / "frames.jsonl").is_file():
-        return [Pair(scene, results, _frame(results, scene, len(scenes) == 1)) for scene in scenes]
+        return [
+            TruthPair(scene, results, _frame(results, scene, len(scenes) == 1)) for scene in scenes
+        ]
     return [_own_run(results, scene) for scene in scenes]
 
 
-def _own_run(results: Path, scene: Path) -> Pair:
+def _own_run(results: Path, scene: Path) -> TruthPair:
     for run in (results / scene.name, results / scene.name / "out"):
         if (run / "frames.jsonl").is_file():
-            return Pair(scene, run, _frame(run, scene, alone=True))
+            return TruthPair(scene, run, _frame(run, scene, alone=True))
     raise SourceError(
         f"holds no run of scene {scene.name}",
         file=results,

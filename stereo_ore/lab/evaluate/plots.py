@@ -18,11 +18,11 @@ UP = {
     "cog_rel": "centre of gravity, error / longest dimension",
     "volume": "volume, relative error",
 }
-LIMITS = {"iou": 1.0, "cog_rel": 0.4, "volume": 1.0}
+_LIMITS = {"iou": 1.0, "cog_rel": 0.4, "volume": 1.0}
 """Errors beyond these are drawn on the upper edge, so that one outlier doesn't flatten the rest."""
 
 
-def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
+def draw_plots(rows: Sequence[dict[str, Any]], path: Path) -> None:
     """Write a PNG with a dot for every lump that had to be found; oversize lumps are filled."""
     lumps = [lump for row in rows for lump in row["lumps"]]
     figure = new_figure(12, 9, layout="constrained")
@@ -44,9 +44,9 @@ def _scatter(axis: Any, lumps: Sequence[dict[str, Any]], x: str, y: str) -> None
     for oversize in (False, True):
         shown = [lump for lump in lumps if y in lump and lump["is_oversize"] is oversize]
         face = "tab:red" if oversize else "none"
-        heights = [min(lump[y], LIMITS[y]) for lump in shown]
+        heights = [min(lump[y], _LIMITS[y]) for lump in shown]
         axis.scatter(
             [lump[x] for lump in shown], heights, s=18, facecolors=face, edgecolors="tab:red"
         )
-    axis.set_ylim(-0.02 * LIMITS[y], 1.03 * LIMITS[y])
+    axis.set_ylim(-0.02 * _LIMITS[y], 1.03 * _LIMITS[y])
     axis.grid(alpha=0.3)

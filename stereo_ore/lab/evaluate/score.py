@@ -14,7 +14,7 @@ from stereo_ore.lab import metrics
 from stereo_ore.lab.evaluate.truth import Truth
 from stereo_ore.types import F32, F64, Mask
 
-TOOL = 255
+_TOOL = 255
 """Instance of the breaker's hammer in scenes with truth."""
 
 HIT_IOU = 0.5
@@ -54,7 +54,7 @@ def score(
         scene, status, match, filter, baseline, ores, solid, strike, and `lumps`: a row for each
         wanted lump.
     """
-    ore = (truth.instance >= 2) & (truth.instance != TOOL)
+    ore = (truth.instance >= 2) & (truth.instance != _TOOL)
     if stages["disparity"].shape != ore.shape:
         problem = (
             f"is of images of {stages['disparity'].shape[::-1]} pixels, the truth of"
@@ -218,7 +218,7 @@ def _ores(
 
 def _on_tool(ore_map: npt.NDArray[Any], found: list[int], truth: Truth) -> dict[str, Any]:
     """Ores that are by more than half the breaker's hammer, and whether it is in view."""
-    tool = truth.instance == TOOL
+    tool = truth.instance == _TOOL
     ores = [i for i in found if tool[ore_map == i].mean() > 0.5]
     return {"on_tool": len(ores), "tool_in_view": bool(tool.any())}
 

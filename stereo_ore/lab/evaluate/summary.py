@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-Row = dict[str, Any]
+_Row = dict[str, Any]
 
 
-def pool(rows: Sequence[Row]) -> dict[str, float]:
+def pool_scenes(rows: Sequence[_Row]) -> dict[str, float]:
     """Medians over lumps or scenes, means of filter figures, shares of counts; NaN where nothing
     counts.
     """
@@ -53,15 +53,15 @@ def pool(rows: Sequence[Row]) -> dict[str, float]:
     }
 
 
-def _pooled(rows: Sequence[Row], group: str, key: str) -> list[float]:
+def _pooled(rows: Sequence[_Row], group: str, key: str) -> list[float]:
     return [value for row in rows for value in row[group][key]]
 
 
-def _lumps(rows: Sequence[Row], key: str) -> list[float]:
+def _lumps(rows: Sequence[_Row], key: str) -> list[float]:
     return [lump[key] for row in rows for lump in row["lumps"] if key in lump]
 
 
-def _share(rows: Sequence[Row], part: str, whole: str) -> float:
+def _share(rows: Sequence[_Row], part: str, whole: str) -> float:
     return float(sum(row[part] for row in rows) / max(sum(row[whole] for row in rows), 1))
 
 
@@ -74,12 +74,12 @@ def _median(values: Sequence[float], percent: float = 50) -> float:
     return float(np.percentile(finite, percent)) if len(finite) else float("nan")
 
 
-def table(rows: Sequence[Row]) -> list[list[str]]:
+def summary_table(rows: Sequence[_Row]) -> list[list[str]]:
     """Heading and a line of cells a scene; a dash where nothing counts."""
     return [list(_cells(rows[0]))] + [list(_cells(row).values()) for row in rows] if rows else []
 
 
-def _cells(row: Row) -> dict[str, str]:
+def _cells(row: _Row) -> dict[str, str]:
     match, quality, ores, solid, strike = (
         row[key] for key in ("match", "filter", "ores", "solid", "strike")
     )

@@ -59,7 +59,7 @@ def make_materials(
     return known
 
 
-def surface(
+def painted_surface(
     materials: dict[str, Material], part: Part, xyz: F32, normals: F32
 ) -> tuple[F32, F32, float | F32, float]:
     """Reflectance (N, 3), relief normals (N, 3), gloss and shininess at points of a part."""

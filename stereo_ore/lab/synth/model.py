@@ -67,7 +67,7 @@ class Model:
     caster: RayCaster
 
 
-def build(spec: SceneSpec) -> Model:
+def build_model(spec: SceneSpec) -> Model:
     """The geometry of a scene; equal specs give equal models."""
     rng = np.random.default_rng([spec.seed, 10])
     steel = [grizzly.bars(spec.screen), grizzly.frame(spec.screen)]

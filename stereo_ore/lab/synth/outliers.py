@@ -17,10 +17,10 @@ PAPER_SPACING_M = 0.00596
 """Median over the paper's clean surface of the mean distance to 8 neighbours: what its offsets are
 measured in here."""
 
-Rng = np.random.Generator
+_Rng = np.random.Generator
 
 
-def plant(rng: Rng, xyz: F64, share: float, kind: str) -> tuple[F64, Mask]:
+def plant_outliers(rng: _Rng, xyz: F64, share: float, kind: str) -> tuple[F64, Mask]:
     """A cloud with a share of outliers.
 
     Parameters
@@ -40,7 +40,7 @@ def plant(rng: Rng, xyz: F64, share: float, kind: str) -> tuple[F64, Mask]:
     is_noise : (M,) bool
     """
     if kind in ADDED:
-        more = ADDED[kind](rng, xyz, spacing(xyz), round(share / (1 - share) * len(xyz)))
+        more = ADDED[kind](rng, xyz, cloud_spacing(xyz), round(share / (1 - share) * len(xyz)))
         return np.vstack([xyz, more]), np.r_[np.zeros(len(xyz), bool), np.ones(len(more), bool)]
     is_noise = np.zeros(len(xyz), bool)
     is_noise[rng.permutation(len(xyz))[: round(share * len(xyz))]] = True
@@ -49,18 +49,18 @@ def plant(rng: Rng, xyz: F64, share: float, kind: str) -> tuple[F64, Mask]:
     axis = axis / np.linalg.norm(axis, axis=1, keepdims=True) * rng.choice([-1.0, 1.0], (count, 1))
     far = 2 + rng.exponential(6, count) if kind == "flyers" else _paper_offsets(rng, count)
     out = xyz.copy()
-    out[is_noise] += axis * far[:, None] * spacing(xyz)
+    out[is_noise] += axis * far[:, None] * cloud_spacing(xyz)
     return out, is_noise
 
 
-def crop(rng: Rng, xyz: F64, count: int) -> F64:
+def crop_cloud(rng: _Rng, xyz: F64, count: int) -> F64:
     """`count` points around a random one, as seen along the cloud's least extent."""
     axes = np.argsort(np.ptp(xyz, axis=0))[1:]
     far = np.abs(xyz[:, axes] - xyz[rng.integers(len(xyz))][axes]).max(1)
     return xyz[np.argpartition(far, min(count, len(xyz) - 1))[:count]]
 
 
-def spacing(xyz: F64, sample: int = 1500) -> float:
+def cloud_spacing(xyz: F64, sample: int = 1500) -> float:
     """Median of the mean distance to 8 neighbours, over points spread through the cloud."""
     some = xyz[:: max(1, len(xyz) // sample)]
     distance = np.asarray(cKDTree(xyz).query(some, k=9)[0])
@@ -84,7 +84,7 @@ def view_rays(xyz: F64) -> F64:
     return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
 
-def _axes(rng: Rng, xyz: F64, kind: str) -> F64:
+def _axes(rng: _Rng, xyz: F64, kind: str) -> F64:
     if kind == "isotropic":
         return rng.normal(size=xyz.shape)
     if kind == "normal":
@@ -94,13 +94,13 @@ def _axes(rng: Rng, xyz: F64, kind: str) -> F64:
     raise ValueError(f"no outliers are called {kind!r}")
 
 
-def _paper_offsets(rng: Rng, count: int) -> F64:
+def _paper_offsets(rng: _Rng, count: int) -> F64:
     """N(16.039, 8.019) mm cut to (0, 48.12] mm, in spacings."""
     drawn = rng.normal(OFFSET_MEAN_M, OFFSET_SIGMA_M, 2 * count + 64)
     return np.asarray(drawn[(drawn > 0) & (drawn <= OFFSET_MAX_M)][:count] / PAPER_SPACING_M)
 
 
-def _clumps(rng: Rng, xyz: F64, unit: float, count: int) -> F64:
+def _clumps(rng: _Rng, xyz: F64, unit: float, count: int) -> F64:
     """Balls of 4 to 40 points, 4 to 15 spacings off the cloud."""
     parts: list[F64] = []
     while sum(map(len, parts)) < count:
@@ -114,12 +114,12 @@ def _clumps(rng: Rng, xyz: F64, unit: float, count: int) -> F64:
     return np.vstack([np.empty((0, 3)), *parts])[:count]
 
 
-def _dust(rng: Rng, xyz: F64, unit: float, count: int, margin: float = 20.0) -> F64:
+def _dust(rng: _Rng, xyz: F64, unit: float, count: int, margin: float = 20.0) -> F64:
     """Evenly in a box that is some spacings wider than the cloud."""
     return rng.uniform(xyz.min(0) - margin * unit, xyz.max(0) + margin * unit, (count, 3))
 
 
-def _ghost(rng: Rng, xyz: F64, unit: float, count: int) -> F64:
+def _ghost(rng: _Rng, xyz: F64, unit: float, count: int) -> F64:
     """A thin copy of parts of the cloud, 4 to 8 spacings in front of it, as multiple paths of light
     make.
     """
@@ -131,7 +131,7 @@ def _ghost(rng: Rng, xyz: F64, unit: float, count: int) -> F64:
     )
 
 
-ADDED: Mapping[str, Callable[[Rng, F64, float, int], F64]] = {
+ADDED: Mapping[str, Callable[[_Rng, F64, float, int], F64]] = {
     "clumps": _clumps,
     "dust": _dust,
     "haze": partial(_dust, margin=2.0),

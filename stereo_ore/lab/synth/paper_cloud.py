@@ -15,7 +15,7 @@ from stereo_ore.lab.synth.rocks import PROPORTIONS, rock
 from stereo_ore.lab.synth.screen import Screen, bars, frame
 from stereo_ore.types import F64, Mask
 
-POINTS = 18_809
+_POINTS = 18_809
 EXTENT_M = (0.62883, 0.90148, 0.19665)
 OFFSET_MEAN_M, OFFSET_SIGMA_M, OFFSET_MAX_M = 0.016039, 0.008019, 0.04812
 NOISE_SHARES = (0.099, 0.148, 0.564)
@@ -57,12 +57,14 @@ def paper_cloud(
         raise ValueError(f"noise_share must lie in 0…1, not {noise_share}")
     surface, normals, rays = _surface(seed)
     rng = np.random.default_rng([seed, 1])
-    is_noise = np.zeros(POINTS, bool)
-    is_noise[rng.permutation(POINTS)[: round(noise_share * POINTS)]] = True
-    isotropic = rng.normal(size=(POINTS, 3))
+    is_noise = np.zeros(_POINTS, bool)
+    is_noise[rng.permutation(_POINTS)[: round(noise_share * _POINTS)]] = True
+    isotropic = rng.normal(size=(_POINTS, 3))
     axis = {"isotropic": isotropic, "normal": normals, "ray": rays}[direction]
-    axis = axis / np.linalg.norm(axis, axis=1, keepdims=True) * rng.choice([-1.0, 1.0], (POINTS, 1))
-    offset = _offsets(rng, POINTS, min_offset_m)
+    axis = (
+        axis / np.linalg.norm(axis, axis=1, keepdims=True) * rng.choice([-1.0, 1.0], (_POINTS, 1))
+    )
+    offset = _offsets(rng, _POINTS, min_offset_m)
     return surface + np.where(is_noise[:, None], offset[:, None] * axis, 0.0), is_noise
 
 
@@ -79,10 +81,10 @@ def _surface(seed: int) -> tuple[F64, F64, F64]:
     scene = _ore_on_bars(rng)
     spacing = 0.006
     points = np.empty((0, 9))
-    while len(points) < POINTS:
+    while len(points) < _POINTS:
         points = _cast(scene, spacing)
-        spacing *= min(0.99, float(np.sqrt(len(points) / POINTS)))
-    points = points[rng.permutation(len(points))[:POINTS]]
+        spacing *= min(0.99, float(np.sqrt(len(points) / _POINTS)))
+    points = points[rng.permutation(len(points))[:_POINTS]]
     low, span = points[:, :3].min(0), np.ptp(points[:, :3], axis=0)
     stretch = np.array(EXTENT_M) / span
     normals = points[:, 3:6] / stretch

@@ -13,7 +13,7 @@ from stereo_ore.lab.synth.mesh import Mesh, cast, icosphere, ray_caster
 from stereo_ore.lab.synth.rocks import random_rotation
 from stereo_ore.types import F64, I32
 
-ROUNDS, PROPOSALS = 30, 12
+_ROUNDS, PROPOSALS = 30, 12
 
 
 @dataclass
@@ -84,8 +84,8 @@ def settle(
     coarse = mesh.vertices[: len(icosphere(3).vertices)]
     size = float(np.linalg.norm(np.ptp(coarse, axis=0)))
     z = -float(drop(_placed(coarse, R[None], xy[None]), field)[0])
-    for step in range(ROUNDS):
-        scale = 0.1 ** (step / (ROUNDS - 1))
+    for step in range(_ROUNDS):
+        scale = 0.1 ** (step / (_ROUNDS - 1))
         turns = _small_rotations(rng, np.radians(12) * scale, PROPOSALS) @ R
         places = xy + rng.normal(0, 0.06 * size * scale / 2, (PROPOSALS, 2))
         heights = -drop(_placed(coarse, turns, places), field)

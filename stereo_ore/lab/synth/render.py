@@ -9,14 +9,14 @@ import numpy as np
 
 from stereo_ore.lab.synth.eye import Eye
 from stereo_ore.lab.synth.lighting import Points, lamp_light, sky_light
-from stereo_ore.lab.synth.materials import Material, surface
+from stereo_ore.lab.synth.materials import Material, painted_surface
 from stereo_ore.lab.synth.mesh import cast
 from stereo_ore.lab.synth.model import Model
 from stereo_ore.lab.synth.spec import SceneSpec
 from stereo_ore.lab.synth.textures import dot
 from stereo_ore.types import F32, I32
 
-BAND = 60
+_BAND = 60
 """Rows rendered at a time; bands share two threads and don't depend on each other."""
 
 
@@ -27,14 +27,14 @@ def radiance(model: Model, materials: dict[str, Material], spec: SceneSpec, eye:
     offsets = [(float(du), float(dv)) for dv in steps for du in steps]
 
     def band(start: int) -> F32:
-        rows = range(start, min(start + BAND, height))
+        rows = range(start, min(start + _BAND, height))
         total = np.zeros((len(rows) * width, 3), np.float32)
         for k, offset in enumerate(offsets):
             total += _shade(model, materials, spec, eye.rays(rows, offset=offset).reshape(-1, 6), k)
         return total.reshape(len(rows), width, 3) / np.float32(len(offsets))
 
     with ThreadPoolExecutor(min(2, os.cpu_count() or 1)) as pool:
-        bands = list(pool.map(band, range(0, height, BAND)))
+        bands = list(pool.map(band, range(0, height, _BAND)))
     return np.concatenate(bands)[..., ::-1]
 
 
@@ -71,15 +71,15 @@ def _shade(model: Model, materials: dict[str, Material], spec: SceneSpec, rays: 
 def _surfaces(
     model: Model, materials: dict[str, Material], part_of: I32, xyz: F32, normals: F32
 ) -> tuple[F32, F32, F32, F32]:
-    """`materials.surface` for points of all parts: reflectance, relief normals (N, 3), gloss and
-    shininess (N, 1).
+    """`materials.painted_surface` for points of all parts: reflectance, relief normals (N, 3),
+    gloss and shininess (N, 1).
     """
     rgb, bent = np.empty_like(xyz), np.empty_like(xyz)
     gloss, shininess = np.empty((len(xyz), 1), np.float32), np.empty((len(xyz), 1), np.float32)
     for index in np.unique(part_of):
         here = np.flatnonzero(part_of == index)
         part = model.parts[index]
-        rgb[here], bent[here], gloss[here], shininess[here] = surface(
+        rgb[here], bent[here], gloss[here], shininess[here] = painted_surface(
             materials, part, xyz[here], normals[here]
         )
     return rgb, bent, gloss, shininess

@@ -74,7 +74,7 @@ def _pair(values: F64) -> tuple[float, float]:
     return float(values[0]), float(values[1])
 
 
-def rectification(calibration: StereoCalibration) -> Rectification:
+def reference_rectification(calibration: StereoCalibration) -> Rectification:
     """cv2.stereoRectify (CALIB_ZERO_DISPARITY, alpha 0) of raw eyes; the identity for rectified
     ones.
     """

@@ -14,7 +14,7 @@ PROPORTIONS = {
     "long": (1.0, 0.48, 0.42),
 }
 """Longest, middle and shortest dimension of each kind of lump, before each is varied by a fifth."""
-LARGEST_RADIUS, THICKER = 1.5, (1.0, 1.08, 1.25)
+LARGEST_RADIUS, _THICKER = 1.5, (1.0, 1.08, 1.25)
 """Of an angular rock, before it is stretched: where no plane bounds it, and how much wider its tips
 must lie for the proportions of the body."""
 
@@ -40,7 +40,7 @@ def rock(
     radius = (np.maximum(d @ normals.T, 0) / distances) ** sharpness
     radius = (radius.sum(1) + (LARGEST_RADIUS**-sharpness if angular else 0.0)) ** (-1 / sharpness)
     radius = radius * (1 + roughness(rng, d * radius[:, None]))
-    proportions = np.array(PROPORTIONS[shape]) * (THICKER if angular else 1.0)
+    proportions = np.array(PROPORTIONS[shape]) * (_THICKER if angular else 1.0)
     vertices = d * radius[:, None] * proportions * rng.uniform(0.82, 1.18, 3)
     vertices = vertices @ _small_shear(rng)
     vertices *= longest_m / np.ptp(vertices, axis=0).max()

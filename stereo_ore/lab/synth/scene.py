@@ -9,9 +9,15 @@ import numpy as np
 from stereo_ore.lab.synth.eye import Eye, depth_and_instance
 from stereo_ore.lab.synth.families import sample_spec
 from stereo_ore.lab.synth.materials import Material, make_materials
-from stereo_ore.lab.synth.model import Model, build
+from stereo_ore.lab.synth.model import Model, build_model
 from stereo_ore.lab.synth.render import radiance
-from stereo_ore.lab.synth.rig import Rectification, eyes, ideal_rig, raw_rig, rectification
+from stereo_ore.lab.synth.rig import (
+    Rectification,
+    eyes,
+    ideal_rig,
+    raw_rig,
+    reference_rectification,
+)
 from stereo_ore.lab.synth.sensor import expose, exposure_gain
 from stereo_ore.lab.synth.spec import SceneSpec
 from stereo_ore.lab.synth.truth import LumpTruth, lump_truths
@@ -59,9 +65,9 @@ def scene(spec: SceneSpec | int, family: str = "large", size: str = "HD720") -> 
     """
     if not isinstance(spec, SceneSpec):
         spec = sample_spec(spec, family, size)
-    model = build(spec)
+    model = build_model(spec)
     calibration = raw_rig(spec) if spec.raw else ideal_rig(spec)
-    rectified = rectification(calibration)
+    rectified = reference_rectification(calibration)
     T_screen_left = inverse(spec.T_world_screen) @ spec.camera.T_world_left
     left, right, straight = eyes(calibration, rectified, T_screen_left)
     depth, instance = depth_and_instance(model, straight)

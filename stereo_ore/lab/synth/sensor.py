@@ -8,7 +8,7 @@ import numpy as np
 from stereo_ore.lab.synth.spec import Sensor
 from stereo_ore.types import F32, U8
 
-BLUR_PX = 0.55
+_BLUR_PX = 0.55
 WHITE_PERCENTILE, WHITE_LEVEL = 98.0, 0.36
 
 
@@ -27,7 +27,7 @@ def expose(sensor: Sensor, radiance: F32, gain: float, rng: np.random.Generator)
     and the result is encoded with gamma 1/2.2. Contrast below 1 draws tones together about a middle
     grey, as a flat lens or dust does.
     """
-    signal = cv2.GaussianBlur(radiance, (0, 0), BLUR_PX) * np.float32(gain)
+    signal = cv2.GaussianBlur(radiance, (0, 0), _BLUR_PX) * np.float32(gain)
     signal = sensor.contrast * signal + (1 - sensor.contrast) * 0.15
     electrons = sensor.full_well * np.clip(signal, 0, None)
     sigma = np.sqrt(electrons + sensor.read_noise**2)

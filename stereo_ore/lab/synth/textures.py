@@ -9,7 +9,7 @@ import numpy as np
 
 from stereo_ore.types import F32
 
-SIDE = 1024
+_SIDE = 1024
 
 
 @dataclass(frozen=True)
@@ -52,14 +52,14 @@ def spectral_noise(rng: np.random.Generator, slope: float, stretch: float = 1.0)
     """
     from scipy import fft
 
-    fy, fx = np.fft.fftfreq(SIDE)[:, None] * stretch, np.fft.rfftfreq(SIDE)[None]
+    fy, fx = np.fft.fftfreq(_SIDE)[:, None] * stretch, np.fft.rfftfreq(_SIDE)[None]
     frequency = np.hypot(fx, fy).astype(np.float32)
     frequency[0, 0] = 1
     spectrum = fft.rfft2(
-        rng.standard_normal((SIDE, SIDE), dtype=np.float32)
+        rng.standard_normal((_SIDE, _SIDE), dtype=np.float32)
     ) * frequency ** np.float32(-slope)
     spectrum[0, 0] = 0
-    noise = fft.irfft2(spectrum, s=(SIDE, SIDE))
+    noise = fft.irfft2(spectrum, s=(_SIDE, _SIDE))
     return np.asarray(noise / noise.std(), np.float32)
 
 
@@ -95,6 +95,6 @@ def lookup(texture: Texture, u: F32, v: F32) -> F32:
     rows = -(-len(u) // width)
     maps = np.zeros((2, rows * width), np.float32)
     maps[0, : len(u)], maps[1, : len(u)] = u, v
-    maps = np.mod(maps / np.float32(texture.texel_m), SIDE).reshape(2, rows, width)
+    maps = np.mod(maps / np.float32(texture.texel_m), _SIDE).reshape(2, rows, width)
     found = cv2.remap(texture.image, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
     return np.asarray(found.reshape(-1, 4)[: len(u)], np.float32)

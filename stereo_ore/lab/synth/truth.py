@@ -19,7 +19,7 @@ from stereo_ore.lab.synth.mesh import (
 )
 from stereo_ore.lab.synth.model import FIRST_LUMP, Lump, Model
 from stereo_ore.lab.synth.spec import SceneSpec
-from stereo_ore.transforms import apply, inverse
+from stereo_ore.transforms import inverse, transform_points
 from stereo_ore.types import F32, F64, I32, Mask
 
 TOUCH = 0.012
@@ -75,9 +75,9 @@ def lump_truths(
         dims, longest, shortest = callipers(_coarser(lump.mesh))
         seen = instance == id_
         found.append(LumpTruth(
-            id_, lump.shape, lump.ore, volume, apply(spec.T_world_screen, centre),
-            apply(inverse(left.T_screen_eye), centre),
-            apply(inverse(straight.T_screen_eye), centre),
+            id_, lump.shape, lump.ore, volume, transform_points(spec.T_world_screen, centre),
+            transform_points(inverse(left.T_screen_eye), centre),
+            transform_points(inverse(straight.T_screen_eye), centre),
             int(seen.sum()), int((instance_rectified == id_).sum()), _unoccluded(lump.mesh, left),
             _at_border(seen),
             _bounds(seen), (float(depth[seen].min()),
@@ -96,7 +96,7 @@ def _coarser(mesh: Mesh) -> Mesh:
 
 def _unoccluded(mesh: Mesh, eye: Eye) -> int:
     """Pixels the body would cover alone."""
-    xyz = apply(inverse(eye.T_screen_eye), mesh.vertices)
+    xyz = transform_points(inverse(eye.T_screen_eye), mesh.vertices)
     xyz = xyz[xyz[:, 2] > 0.01]
     if not len(xyz):
         return 0

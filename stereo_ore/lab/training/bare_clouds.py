@@ -8,18 +8,18 @@ import numpy as np
 
 from stereo_ore.lab.bench.labelled import DIRECTIONS, LabelledCloud, bare_cloud, paper_clouds
 from stereo_ore.lab.synth import paper_cloud
-from stereo_ore.lab.synth.outliers import plant
-from stereo_ore.lab.training.surfaces import surface
+from stereo_ore.lab.synth.outliers import plant_outliers
+from stereo_ore.lab.training.surfaces import sample_surface
 from stereo_ore.types import F64, Mask
 
 PIECES_A_SEED = 240
 CLEAN_SHARE = 0.45
 """Of the pieces: with fewer, a scorer takes roughness for noise."""
 
-KINDS = (*DIRECTIONS, *DIRECTIONS, "clumps", "clumps", "clumps", "flyers", "dust")
+_KINDS = (*DIRECTIONS, *DIRECTIONS, "clumps", "clumps", "clumps", "flyers", "dust")
 """Planted kinds. Sheets beside a surface are none of them: pieces of real stones are sheets."""
 
-CROP = 6000
+_CROP = 6000
 
 
 def bare_clouds(seeds: range, scans: Sequence[F64]) -> Iterator[LabelledCloud]:
@@ -29,7 +29,7 @@ def bare_clouds(seeds: range, scans: Sequence[F64]) -> Iterator[LabelledCloud]:
     for seed in seeds:
         for labelled in _protocol(seed):
             xyz = labelled.voxels.xyz
-            near = np.argsort(np.abs(xyz[:, :2] - xyz[len(xyz) // 2, :2]).max(1))[:CROP]
+            near = np.argsort(np.abs(xyz[:, :2] - xyz[len(xyz) // 2, :2]).max(1))[:_CROP]
             yield LabelledCloud(
                 labelled.name, "paper", bare_cloud(xyz[near]), labelled.is_noise[near]
             )
@@ -43,12 +43,12 @@ def clouds_a_seed() -> int:
 
 
 def _piece(rng: np.random.Generator, scans: Sequence[F64], name: str) -> LabelledCloud:
-    xyz = surface(rng, scans)
-    kind, clean = str(rng.choice(KINDS)), rng.random() < CLEAN_SHARE
+    xyz = sample_surface(rng, scans)
+    kind, clean = str(rng.choice(_KINDS)), rng.random() < CLEAN_SHARE
     # Moved points are many or few; scanners' own outliers mostly few, yet no less to be found.
     moved, added = (0.005, 0.1) if rng.random() < 0.5 else (0.05, 0.6), np.log([0.002, 0.25])
     share = float(rng.uniform(*moved) if kind in DIRECTIONS else np.exp(rng.uniform(*added)))
-    xyz, noise = (xyz, np.zeros(len(xyz), bool)) if clean else plant(rng, xyz, share, kind)
+    xyz, noise = (xyz, np.zeros(len(xyz), bool)) if clean else plant_outliers(rng, xyz, share, kind)
     return LabelledCloud(
         name, "clean" if clean else kind, bare_cloud(xyz - np.median(xyz, axis=0)), noise
     )

@@ -22,20 +22,20 @@ from stereo_ore.stages.matching.confidence import RIGHT_PX, WITNESSES
 from stereo_ore.stages.matching.match import evidence, grey
 from stereo_ore.types import F32, U8, Mask, RectifiedPair
 
-PIXELS, HIDDEN, EPOCHS, FOLDS = 4000, 12, 12, 4
+_PIXELS, HIDDEN, EPOCHS, _FOLDS = 4000, 12, 12, 4
 """Pixels of a view that the network learns from, its units, how often it sees each, and folds of
 whole sets."""
 
-EXPOSURE, VIGNETTING, GAMMA, NOISE = (0.7, 1.25), 0.35, (0.8, 1.25), (1.0, 7.0)
+EXPOSURE, VIGNETTING, GAMMA, _NOISE = (0.7, 1.25), 0.35, (0.8, 1.25), (1.0, 7.0)
 """Ranges of what is planted: the right eye's brightness over the left's, what is lost in the
 corners, exponent of the right eye's brightness, standard deviation [grey levels] of either eye's
 noise."""
 
-Fault = Callable[[StereoSet, np.random.Generator], RectifiedPair]
+_Fault = Callable[[StereoSet, np.random.Generator], RectifiedPair]
 
 
 @dataclass(frozen=True)
-class View:
+class _View:
     """Examples of one pair: witnesses (N, F), whether the disparity is right (N,); views of one set
     share its name.
     """
@@ -47,7 +47,7 @@ class View:
 
 
 @dataclass(frozen=True)
-class Quality:
+class _Quality:
     """On a set that the network did not see: area under the ROC curve, and said and true share of
     each tenth.
     """
@@ -80,7 +80,7 @@ def _vignetting(data: StereoSet, rng: np.random.Generator) -> RectifiedPair:
 
 def _noise(data: StereoSet, rng: np.random.Generator) -> RectifiedPair:
     left, right = (
-        _grey_levels(eye + rng.normal(0, rng.uniform(*NOISE), eye.shape))
+        _grey_levels(eye + rng.normal(0, rng.uniform(*_NOISE), eye.shape))
         for eye in (data.pair.left, data.pair.right)
     )
     return replace(data.pair, left=left, right=right)
@@ -90,7 +90,7 @@ def _none(data: StereoSet, rng: np.random.Generator) -> RectifiedPair:
     return data.pair
 
 
-FAULTS: dict[str, Fault] = {
+_FAULTS: dict[str, _Fault] = {
     "none": _none,
     "exposure": _exposure,
     "vignetting": _vignetting,
@@ -102,15 +102,17 @@ def _grey_levels(image: np.ndarray[Any, np.dtype[np.float64]]) -> U8:
     return np.asarray(np.clip(np.rint(image), 0, 255), np.uint8)
 
 
-def views(sets: Iterable[StereoSet], config: MatchingConfig, seed: int = 0) -> Iterator[View]:
+def training_views(
+    sets: Iterable[StereoSet], config: MatchingConfig, seed: int = 0
+) -> Iterator[_View]:
     """Examples of all sets, each as it is and with every fault planted."""
     for number, data in enumerate(sets):
-        for index, (fault, plant) in enumerate(FAULTS.items()):
+        for index, (fault, plant) in enumerate(_FAULTS.items()):
             rng = np.random.default_rng([seed, number, index])
             yield _view(replace(data, pair=plant(data, rng)), fault, config, rng)
 
 
-def _view(data: StereoSet, fault: str, config: MatchingConfig, rng: np.random.Generator) -> View:
+def _view(data: StereoSet, fault: str, config: MatchingConfig, rng: np.random.Generator) -> _View:
     """Some pixels that left and right match agree on and whose truth is known."""
     region = matching.narrow(data.pair, data.region, data.volume, config)
     images, compared = light.evened(
@@ -119,19 +121,19 @@ def _view(data: StereoSet, fault: str, config: MatchingConfig, rng: np.random.Ge
     found = consistency.match_both(images, config, compared)
     values, _, witnesses = evidence(images, found, confidence.agreement(found.difference))
     error = values + np.float32(region.min_disparity) - data.truth[region.slices]
-    at = rng.permutation(np.flatnonzero(found.valid & np.isfinite(error)))[:PIXELS]
+    at = rng.permutation(np.flatnonzero(found.valid & np.isfinite(error)))[:_PIXELS]
     features = np.column_stack([np.ravel(witness)[at] for witness in witnesses])
-    return View(data.name, fault, features, np.asarray(np.abs(np.ravel(error)[at]) <= RIGHT_PX))
+    return _View(data.name, fault, features, np.asarray(np.abs(np.ravel(error)[at]) <= RIGHT_PX))
 
 
-def train(examples: Sequence[View], seed: int = 0) -> tuple[Network, list[Quality]]:
+def train_confidence(examples: Sequence[_View], seed: int = 0) -> tuple[Network, list[_Quality]]:
     """The network of all views, and the quality of such ones on the sets that each was not shown,
-    in `FOLDS` folds.
+    in `_FOLDS` folds.
     """
     names = sorted({view.set for view in examples})
     quality = []
-    for k in range(min(FOLDS, len(names))):
-        held = set(names[k::FOLDS])
+    for k in range(min(_FOLDS, len(names))):
+        held = set(names[k::_FOLDS])
         network = _fit([view for view in examples if view.set not in held], seed)
         for name in sorted(held):
             seen = [view for view in examples if view.set == name and view.fault == "none"]
@@ -139,20 +141,20 @@ def train(examples: Sequence[View], seed: int = 0) -> tuple[Network, list[Qualit
     return _fit(examples, seed), quality
 
 
-def _fit(examples: Sequence[View], seed: int) -> Network:
+def _fit(examples: Sequence[_View], seed: int) -> Network:
     features = np.concatenate([view.features for view in examples])
     right = np.concatenate([view.right for view in examples])
     return fit_network(features, right, HIDDEN, EPOCHS, seed)
 
 
-def _judge(name: str, network: Network, seen: Sequence[View]) -> Quality:
+def _judge(name: str, network: Network, seen: Sequence[_View]) -> _Quality:
     said = np.concatenate([network.probability(view.features) for view in seen])
     right = np.concatenate([view.right for view in seen])
-    return Quality(name, metrics.area_under_roc(said, right), *metrics.reliability(said, right))
+    return _Quality(name, metrics.area_under_roc(said, right), *metrics.reliability(said, right))
 
 
 def to_json(
-    network: Network, quality: Sequence[Quality], examples: Sequence[View], seed: int
+    network: Network, quality: Sequence[_Quality], examples: Sequence[_View], seed: int
 ) -> str:
     """Readable text: what it was made from, how good it is on sets left out, a row of weights a
     line.
@@ -160,7 +162,7 @@ def to_json(
     made = {
         "made_with": "stereo-ore tune --train confidence",
         "sets": sorted({view.set for view in examples}),
-        "faults": list(FAULTS),
+        "faults": list(_FAULTS),
         "pixels": sum(len(view.right) for view in examples),
         "right": f"within {RIGHT_PX} px of the truth",
         "seed": seed,

@@ -15,10 +15,10 @@ from stereo_ore.config.filters import AdaptiveParams
 from stereo_ore.lab.bench.clean import clean_clouds
 from stereo_ore.lab.bench.labelled import LabelledCloud, bare_cloud, paper_clouds
 from stereo_ore.lab.metrics import filter_quality
-from stereo_ore.lab.synth.outliers import plant
+from stereo_ore.lab.synth.outliers import plant_outliers
 from stereo_ore.lab.training import scorers
 from stereo_ore.stages import filters
-from stereo_ore.stages.filters.adaptive import look, run_passes
+from stereo_ore.stages.filters.adaptive import evidence_of, run_passes
 from stereo_ore.stages.filters.scorer import Scorer
 from stereo_ore.types import Mask
 from stereo_ore.version import __version__
@@ -26,7 +26,7 @@ from stereo_ore.version import __version__
 LEFT_OUT = ("haze", "ghost")
 """Kinds of outliers that no training has."""
 
-FOLDS = 2
+_FOLDS = 2
 
 
 def of_geometry(scorer: Scorer, seeds: range, scans: Sequence[str]) -> Scorer:
@@ -48,8 +48,8 @@ def of_stereo(scorer: Scorer, learned: Sequence[scorers.Lesson]) -> Scorer:
     """A scorer with its origin: fits to other sets judge it on each real set as it is."""
     cells = sorted({lesson.cell for lesson in learned if lesson.name != lesson.cell})
     figures: dict[str, Any] = {}
-    for fold in range(FOLDS if len(cells) >= FOLDS else 0):
-        out = set(cells[fold::FOLDS])
+    for fold in range(_FOLDS if len(cells) >= _FOLDS else 0):
+        out = set(cells[fold::_FOLDS])
         other = scorers.fit([lesson for lesson in learned if lesson.cell not in out], "stereo")
         figures |= {lesson.name: _judged(other, lesson) for lesson in learned if lesson.cell in out}
     fitted = {
@@ -65,7 +65,7 @@ def _origin(fitted: dict[str, Any], left_out: dict[str, Any]) -> dict[str, Any]:
 
 def _removed(scorer: Scorer, labelled: LabelledCloud) -> Mask:
     voxels, _ = filters.prepared(labelled.voxels)
-    noise = run_passes(look(voxels, AdaptiveParams().k)[1], scorer)
+    noise = run_passes(evidence_of(voxels, AdaptiveParams().k)[1], scorer)
     return np.asarray(noise > scorer.decide(noise))
 
 
@@ -91,7 +91,7 @@ def _strange() -> Iterable[LabelledCloud]:
     """Outliers of kinds left out, on shapes left out."""
     for number, labelled in enumerate(clean_clouds(range(1), [])):
         for kind in LEFT_OUT:
-            xyz, noise = plant(
+            xyz, noise = plant_outliers(
                 np.random.default_rng(number), labelled.voxels.xyz.astype(float), 0.05, kind
             )
             yield LabelledCloud(f"{labelled.name}, {kind}", kind, bare_cloud(xyz), noise)

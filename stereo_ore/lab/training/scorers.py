@@ -12,7 +12,7 @@ from stereo_ore.lab.bench.labelled import LabelledCloud
 from stereo_ore.lab.training.networks import fit_network
 from stereo_ore.network import Network, average
 from stereo_ore.stages import filters
-from stereo_ore.stages.filters.adaptive import judge, look
+from stereo_ore.stages.filters.adaptive import evidence_of, judge_pass
 from stereo_ore.stages.filters.evidence import WHOLE_FEATURES, Evidence, Rows
 from stereo_ore.stages.filters.scorer import Scorer
 from stereo_ore.threads import map_rows
@@ -78,7 +78,7 @@ def lessons(clouds: Iterable[LabelledCloud], kind: str, seed: int = 0) -> list[L
     return [_lesson(labelled, RECIPES[kind], rng) for labelled in clouds]
 
 
-def train(clouds: Iterable[LabelledCloud], kind: str, seed: int = 0) -> Scorer:
+def train_scorer(clouds: Iterable[LabelledCloud], kind: str, seed: int = 0) -> Scorer:
     """Fit a scorer of a `kind` of `RECIPES` to clouds; `seed` is that of sample and networks."""
     return fit(lessons(clouds, kind, seed), kind, seed)
 
@@ -99,7 +99,7 @@ def fit(learned: Sequence[Lesson], kind: str, seed: int = 0) -> Scorer:
         passes.append(_fit(np.concatenate(tables), truth, fits, recipe.epochs, seed))
         if number + 1 < len(recipe.passes):
             noise = [
-                judge(x.evidence, p, passes[-1], number)
+                judge_pass(x.evidence, p, passes[-1], number)
                 for x, p in zip(learned, noise, strict=True)
             ]
     return Scorer(list(learned[0].evidence.names), passes, recipe.threshold, recipe.most_lost)
@@ -112,7 +112,7 @@ def _lesson(labelled: LabelledCloud, recipe: Recipe, rng: np.random.Generator) -
     )
     order, is_noise = rng.permutation(judged), labelled.is_noise[rows]
     chosen = np.union1d(order[: recipe.sample], order[is_noise[order]][: recipe.noise])
-    evidence = look(voxels, AdaptiveParams().k)[1]
+    evidence = evidence_of(voxels, AdaptiveParams().k)[1]
     return Lesson(labelled.name, labelled.cell, evidence, is_noise, judged, chosen)
 
 

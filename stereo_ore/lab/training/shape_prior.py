@@ -10,15 +10,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from stereo_ore.lab.training.solids import Sample
+from stereo_ore.lab.training.solids import SolidSample
 from stereo_ore.stages.solid.prior import DOUBTS, TARGETS, Linear, Prior
 from stereo_ore.types import F64, Mask
 
-CENTRE, VOLUME, LONGEST = [0, 1, 6], 2, 3
+CENTRE, _VOLUME, LONGEST = [0, 1, 6], 2, 3
 """Columns of errors, which are in the order of `TARGETS`, then y."""
-FOLDS = 10
+_FOLDS = 10
 """Scenes are left out by tenths; of up to ten that come first, each alone."""
-RIDGE, RIDGE_PRODUCTS, RIDGE_ODD = 100.0, 1100.0, 30.0
+_RIDGE, RIDGE_PRODUCTS, RIDGE_ODD = 100.0, 1100.0, 30.0
 """Penalties of squared weights, in samples, of cues, of products of cues, and of odd cues. Errors
 on scenes left out are flat there."""
 INTERACTING = (
@@ -27,10 +27,10 @@ INTERACTING = (
     "facing", "grounded_volume", "solidity", "across", "on_bars",
 )  # fmt: skip
 """Cues of which every product counts; of the others their squares."""
-HUBER, ROUNDS = 1.0, 5
+HUBER, _ROUNDS = 1.0, 5
 """Errors beyond so many standard deviations count by their size instead of its square, for medians
 are what counts."""
-LEAST_SCALE = 1e-3
+_LEAST_SCALE = 1e-3
 """A cue that varies less than this is not stretched: in few scenes some are constant."""
 HELD = 0.95
 """Share of the errors that two sigma hold."""
@@ -39,7 +39,7 @@ JUDGED = ("measured", "unplaced")
 
 
 @dataclass(frozen=True)
-class Quality:
+class _Quality:
     """Medians over lumps: shift of the centre over the longest dimension, relative errors of volume
     and of the longest.
 
@@ -77,7 +77,7 @@ class _Table:
     weight: F64
 
     @classmethod
-    def of(cls, found: Sequence[Sample]) -> _Table:
+    def of(cls, found: Sequence[SolidSample]) -> _Table:
         even, odd = (
             np.array([list(getattr(s.cues, kind).values()) for s in found])
             for kind in ("even", "odd")
@@ -94,7 +94,7 @@ class _Table:
         )
 
 
-def train(found: Sequence[Sample]) -> tuple[Prior, F64]:
+def train_prior(found: Sequence[SolidSample]) -> tuple[Prior, F64]:
     """Fit the prior to samples, those of scenes that shall be left out one at a time first.
 
     Returns
@@ -118,38 +118,38 @@ def train(found: Sequence[Sample]) -> tuple[Prior, F64]:
     return Prior(*_fit(table, names), sigma), errors
 
 
-def quality(found: Sequence[Sample], errors: F64, prior: Prior) -> Quality:
+def prior_quality(found: Sequence[SolidSample], errors: F64, prior: Prior) -> _Quality:
     """Of samples, by their errors (N, 7) and the prior's sigmas."""
     size = np.array([sample.size for sample in found])
     shift = np.linalg.norm(errors[:, CENTRE], axis=1) / size
-    volume, longest = np.abs(np.expm1(errors[:, [VOLUME, LONGEST]])).T
+    volume, longest = np.abs(np.expm1(errors[:, [_VOLUME, LONGEST]])).T
     doubts = _Table.of(found).doubts
     held = np.abs(errors) <= 2 * np.exp(
         doubts @ np.array([prior.sigma[name] for name in (*TARGETS, "y")]).T
     )
-    shares = held[:, CENTRE].mean(), held[:, VOLUME].mean()
-    return Quality(
+    shares = held[:, CENTRE].mean(), held[:, _VOLUME].mean()
+    return _Quality(
         len(found), *(float(v) for v in (*map(np.median, (shift, volume, longest)), *shares))
     )
 
 
-def _folds(found: Sequence[Sample]) -> npt.NDArray[np.intp]:
+def _folds(found: Sequence[SolidSample]) -> npt.NDArray[np.intp]:
     """Fold of each sample; samples of one scene share it."""
     number = {name: i for i, name in enumerate(dict.fromkeys(sample.scene for sample in found))}
-    return np.array([number[sample.scene] % FOLDS for sample in found])
+    return np.array([number[sample.scene] % _FOLDS for sample in found])
 
 
 def _fit(table: _Table, names: tuple[tuple[str, ...], tuple[str, ...]]) -> tuple[Linear, Linear]:
     """Models of the targets from even cues, and of y, without a constant, from odd ones."""
     mean, scale = (
         np.average(table.even, 0, table.weight),
-        np.maximum(table.even.std(0), LEAST_SCALE),
+        np.maximum(table.even.std(0), _LEAST_SCALE),
     )
     even = Linear(names[0], _pairs(names[0]), mean, scale, np.zeros(0), np.zeros(0))
-    penalty = np.repeat([0.0, RIDGE, RIDGE_PRODUCTS], [1, len(even.cues), len(even.pairs)])
+    penalty = np.repeat([0.0, _RIDGE, RIDGE_PRODUCTS], [1, len(even.cues), len(even.pairs)])
     terms = np.insert(even.terms(table.even), 0, 1.0, axis=1)
     rows = np.array([_ridge(terms, y, table.weight, penalty) for y in table.truth[:, :-1].T]).T
-    scale = np.maximum(np.sqrt((table.odd**2).mean(0)), LEAST_SCALE)
+    scale = np.maximum(np.sqrt((table.odd**2).mean(0)), _LEAST_SCALE)
     odd = Linear(names[1], (), np.zeros(len(scale)), scale, np.zeros(0), np.zeros(1))
     penalty = np.full(len(scale), RIDGE_ODD)
     weights = _ridge(odd.terms(table.odd), table.truth[:, -1], table.weight, penalty)
@@ -169,7 +169,7 @@ def _pairs(cues: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
 def _ridge(X: F64, y: F64, weight: F64, penalty: F64) -> F64:
     """Weights (K,) of columns that make y (N,) under Huber's loss, by reweighting."""
     w = weight
-    for _ in range(ROUNDS):
+    for _ in range(_ROUNDS):
         row = np.linalg.solve(X.T @ (w[:, None] * X) + np.diag(penalty), X.T @ (w * y))
         error = np.abs(y - X @ row)
         w = weight * np.minimum(1.0, HUBER * 1.4826 * np.median(error) / np.maximum(error, 1e-12))

@@ -40,15 +40,15 @@ WEIGHTS: Mapping[Appearance, float] = {
 """What a lump counts in each appearance."""
 FIRST_SEED = 3000
 """Of the scenes made for training; nothing else uses them."""
-FAMILIES = ("large", "paper", "hard", "large", "raw", "paper")
-SIZES = ("HD720", "HD720", "HD1080", "HD720", "HD720", "VGA", "HD720")
+_FAMILIES = ("large", "paper", "hard", "large", "raw", "paper")
+_SIZES = ("HD720", "HD720", "HD1080", "HD720", "HD720", "VGA", "HD720")
 CROWD = 8
 """Lumps at least on a crowded screen, of which there are two in five; on three screens of four they
 are angular.
 
 One ray a pixel: the images alias, and disparities err by 0.09 px, with four by 0.06 and in
 path-traced scenes by 0.11. """
-NOISE_LEVELS, BLUR_PX, BLURRED_THRESHOLD = 2.5, 0.7, 0.5
+NOISE_LEVELS, _BLUR_PX, BLURRED_THRESHOLD = 2.5, 0.7, 0.5
 """Of noisy and blurred images; the filter passes more in the latter."""
 TRUE_SIGMA_PX = 0.15
 """Disparity noise that is claimed for true depth."""
@@ -57,7 +57,7 @@ MIN_OVERLAP = 0.5
 
 
 @dataclass(frozen=True)
-class Body:
+class _Body:
     """What is true of a lump: label, volume [m³], centre of mass and dimensions, longest first,
     (3,) [m].
 
@@ -71,7 +71,7 @@ class Body:
 
 
 @dataclass(frozen=True)
-class Known:
+class KnownLump:
     """A scene and its truth: depth (H, W) [m], 0 where nothing is, and labels (H, W) of the
     rectified left view.
 
@@ -85,12 +85,12 @@ class Known:
     site: Site
     depth: F64
     instance: I32
-    bodies: tuple[Body, ...]
+    bodies: tuple[_Body, ...]
     recorded: bool = False
 
 
 @dataclass(frozen=True)
-class Sample:
+class SolidSample:
     """A lump in one appearance: its cues, and what is true of it as the prior's `TARGETS` and y.
 
     `size` is its longest dimension over the size that cues are measured in.
@@ -109,15 +109,15 @@ class Sample:
         return WEIGHTS[self.seen_as]
 
 
-def made(seed: int) -> Known:
+def made_solids(seed: int) -> KnownLump:
     """A synthetic scene; consecutive seeds take families, image sizes and kinds of lumps in
     turn.
     """
-    spec = synth.sample_spec(seed, FAMILIES[seed % len(FAMILIES)], SIZES[seed % len(SIZES)])
+    spec = synth.sample_spec(seed, _FAMILIES[seed % len(_FAMILIES)], _SIZES[seed % len(_SIZES)])
     crowd = CROWD + seed % CROWD if seed % 5 < 2 else spec.lumps
     scene = synth.scene(replace(spec, lumps=crowd, angular=seed % 4 > 0, supersampling=1))
     bodies = tuple(
-        Body(
+        _Body(
             lump.id,
             lump.volume_m3,
             lump.com_rectified,
@@ -127,12 +127,12 @@ def made(seed: int) -> Known:
         if evaluate.must_be_found(lump.visible_pixels_rectified, lump.visible_fraction, lump.cut)
     )
     depth = np.nan_to_num(scene.depth_m.astype(np.float64))
-    return Known(
+    return KnownLump(
         spec.name, scene.pair, scene.calibration, scene.site, depth, scene.instance, bodies
     )
 
 
-def recorded(folder: Path) -> Known:
+def recorded(folder: Path) -> KnownLump:
     """A scene folder with truth."""
     truth, (calibration, site) = evaluate.load_truth(folder), load_rig(folder)
     pair = recordings.open_source(folder).read(0)
@@ -140,8 +140,8 @@ def recorded(folder: Path) -> Known:
     for label in truth.wanted:
         lump = truth.lumps[label]
         dimensions = np.array([lump["max_caliper_mm"], *lump["obb_dims_mm"][1:]]) / 1000
-        bodies.append(Body(label, lump["volume_mm3"] * 1e-9, truth.centre(label), dimensions))
-    return Known(
+        bodies.append(_Body(label, lump["volume_mm3"] * 1e-9, truth.centre(label), dimensions))
+    return KnownLump(
         folder.name,
         pair,
         calibration,
@@ -153,13 +153,13 @@ def recorded(folder: Path) -> Known:
     )
 
 
-def samples(known: Known) -> Iterator[Sample]:
+def samples(known: KnownLump) -> Iterator[SolidSample]:
     """The lumps of a scene that the program finds, in every appearance."""
     pair, site = known.pair, known.site
     measured = _process(known, pair, site)
     unplaced = _process(known, pair, replace(site, plane=None))
     noisy = _process(known, _worse(pair, NOISE_LEVELS, 0.0), site)
-    blurred = _process(known, _worse(pair, 0.0, BLUR_PX), site, threshold=BLURRED_THRESHOLD)
+    blurred = _process(known, _worse(pair, 0.0, _BLUR_PX), site, threshold=BLURRED_THRESHOLD)
     seen: Sequence[tuple[Appearance, FrameResult]] = (
         ("measured", measured), ("unplaced", unplaced), ("noisy", noisy), ("blurred", blurred),
         ("outlined", _outlined(measured, known)),
@@ -169,7 +169,7 @@ def samples(known: Known) -> Iterator[Sample]:
         yield from _samples(known, seen_as, result)
 
 
-def _samples(known: Known, seen_as: Appearance, result: FrameResult) -> Iterator[Sample]:
+def _samples(known: KnownLump, seen_as: Appearance, result: FrameResult) -> Iterator[SolidSample]:
     if result.surface is None or result.ore_map is None or result.grizzly is None:
         return
     found = solid.looks(result.surface, result.ore_map, result.grizzly, Config().solid)
@@ -177,19 +177,19 @@ def _samples(known: Known, seen_as: Appearance, result: FrameResult) -> Iterator
         if looked := found[label - 1]:
             sight, cues = looked
             longest = float(body.dimensions[0] / sight.size)
-            yield Sample(
+            yield SolidSample(
                 known.name, seen_as, known.recorded, cues, _target(body, sight, cues), longest
             )
 
 
-def _target(body: Body, sight: Sight, cues: Cues) -> dict[str, float]:
+def _target(body: _Body, sight: Sight, cues: Cues) -> dict[str, float]:
     """What is true of a lump as the prior's targets."""
     x, y, z = (sight.axes @ (body.centre - sight.origin) - [0.0, 0.0, cues.support]) / sight.size
     logarithms = np.log([body.volume / sight.size**3, *(body.dimensions / sight.size)])
     return dict(zip(TARGETS, map(float, (x, z, *logarithms)), strict=True)) | {"y": float(y)}
 
 
-def _counterparts(known: Known, ore_map: OreMap) -> Iterator[tuple[Body, int]]:
+def _counterparts(known: KnownLump, ore_map: OreMap) -> Iterator[tuple[_Body, int]]:
     """Bodies and the ids in the map that overlap them enough to be them."""
     given = list(range(1, int(ore_map.labels.max(initial=0)) + 1))
     if not given or not known.bodies:
@@ -203,7 +203,7 @@ def _counterparts(known: Known, ore_map: OreMap) -> Iterator[tuple[Body, int]]:
 
 
 def _process(
-    known: Known, pair: StereoPair, site: Site, threshold: float | None = None
+    known: KnownLump, pair: StereoPair, site: Site, threshold: float | None = None
 ) -> FrameResult:
     config = Config(
         filter=FilterConfig(params={} if threshold is None else {"threshold": threshold})
@@ -222,14 +222,14 @@ def _worse(pair: StereoPair, noise: float, blur_px: float) -> StereoPair:
     return replace(pair, left=worse(pair.left), right=worse(pair.right))
 
 
-def _outlined(result: FrameResult, known: Known) -> FrameResult:
+def _outlined(result: FrameResult, known: KnownLump) -> FrameResult:
     """The result with true outlines."""
     return replace(
         result, ore_map=OreMap(np.maximum(known.instance - FIRST_LUMP + 1, 0).astype(np.int16))
     )
 
 
-def _true(result: FrameResult, known: Known) -> FrameResult:
+def _true(result: FrameResult, known: KnownLump) -> FrameResult:
     """The result with true depth."""
     surface = result.surface
     if surface is None:
@@ -237,7 +237,7 @@ def _true(result: FrameResult, known: Known) -> FrameResult:
     return replace(result, surface=_true_surface(surface, known))
 
 
-def _true_surface(surface: Surface, known: Known) -> Surface:
+def _true_surface(surface: Surface, known: KnownLump) -> Surface:
     height, width = surface.sigma_z.shape
     z = known.depth[surface.y0 : surface.y0 + height, surface.x0 : surface.x0 + width]
     z = np.where(z > 0, z, np.nan)

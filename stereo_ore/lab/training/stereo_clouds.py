@@ -14,7 +14,7 @@ from stereo_ore.lab.bench.labelled import LabelledCloud, made_stereo, scene_ster
 from stereo_ore.lab.bench.real_stereo import WAYS, altered, real_cloud
 from stereo_ore.lab.bench.stereo_sets import StereoSet
 
-FAMILIES = ("large", "paper", "hard", "large", "raw", "paper")
+_FAMILIES = ("large", "paper", "hard", "large", "raw", "paper")
 
 
 def stereo_clouds(
@@ -30,9 +30,9 @@ def stereo_clouds(
     yield from map(scene_stereo, scenes)
     for n, seed in enumerate(seeds):
         # Every fifth at HD1080.
-        yield made_stereo(seed, FAMILIES[n % len(FAMILIES)], "HD1080" if n % 5 == 4 else "HD720")
+        yield made_stereo(seed, _FAMILIES[n % len(_FAMILIES)], "HD1080" if n % 5 == 4 else "HD720")
 
 
-def count(sets: Sequence[StereoSet], scenes: Sequence[Path], seeds: range) -> int:
+def count_scenes(sets: Sequence[StereoSet], scenes: Sequence[Path], seeds: range) -> int:
     """How many clouds `stereo_clouds` makes."""
     return len(sets) * (1 + len(WAYS)) + len(scenes) + len(seeds)

@@ -10,27 +10,27 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from stereo_ore.lab.synth import paper_cloud
-from stereo_ore.lab.synth.outliers import crop, normals, spacing
+from stereo_ore.lab.synth.outliers import cloud_spacing, crop_cloud, normals
 from stereo_ore.types import F64
 
-POINTS = 4500
-Rng = np.random.Generator
-Shape = Callable[[Rng, int], F64]
+_POINTS = 4500
+_Rng = np.random.Generator
+Shape = Callable[[_Rng, int], F64]
 
 
-def surface(rng: Rng, scans: Sequence[F64], points: int = POINTS) -> F64:
+def sample_surface(rng: _Rng, scans: Sequence[F64], points: int = _POINTS) -> F64:
     """A clean piece: a shape or a scan, sometimes thinned, of falling density, merged with itself,
     roughened.
     """
     if scans and rng.random() < 0.25:
-        xyz = crop(rng, scans[int(rng.integers(len(scans)))], int(points * rng.uniform(1, 3)))
+        xyz = crop_cloud(rng, scans[int(rng.integers(len(scans)))], int(points * rng.uniform(1, 3)))
     else:
         xyz = SHAPES[str(rng.choice(list(SHAPES)))](rng, points)
     xyz = _worn(rng, xyz)
-    return roughened(rng, crop(rng, xyz, points) if len(xyz) > points else xyz)
+    return roughened(rng, crop_cloud(rng, xyz, points) if len(xyz) > points else xyz)
 
 
-def _worn(rng: Rng, xyz: F64) -> F64:
+def _worn(rng: _Rng, xyz: F64) -> F64:
     if rng.random() < 0.4:
         xyz = xyz[rng.random(len(xyz)) < rng.uniform(0.25, 1)]
     if rng.random() < 0.25:
@@ -39,16 +39,18 @@ def _worn(rng: Rng, xyz: F64) -> F64:
         xyz = xyz[rng.random(len(xyz)) < np.clip(along ** rng.uniform(0.5, 1.5) + 0.08, 0.08, 1)]
     if rng.random() < 0.2:
         xyz = np.vstack(
-            [xyz, xyz + rng.normal(0, rng.uniform(0.05, 0.6) * spacing(xyz), xyz.shape)]
+            [xyz, xyz + rng.normal(0, rng.uniform(0.05, 0.6) * cloud_spacing(xyz), xyz.shape)]
         )
     return xyz
 
 
-def roughened(rng: Rng, xyz: F64) -> F64:
+def roughened(rng: _Rng, xyz: F64) -> F64:
     """Half of all pieces as they are, others moved by up to 1.1 spacings along the normal or all
     ways, or ever more.
     """
-    amount = float(rng.choice([0, 0, rng.uniform(0, 0.3), rng.uniform(0, 1.1)])) * spacing(xyz)
+    amount = float(rng.choice([0, 0, rng.uniform(0, 0.3), rng.uniform(0, 1.1)])) * cloud_spacing(
+        xyz
+    )
     if rng.random() < 0.25:
         along = xyz @ rng.normal(size=3)
         part = (along - along.min()) / np.ptp(along)
@@ -66,15 +68,15 @@ def roughened(rng: Rng, xyz: F64) -> F64:
     return np.asarray(xyz + 0.7 * amount * rng.normal(size=xyz.shape))
 
 
-def _paper(rng: Rng, m: int) -> F64:
-    return crop(
+def _paper(rng: _Rng, m: int) -> F64:
+    return crop_cloud(
         rng,
         paper_cloud(100 + int(rng.integers(2)), noise_share=0.0)[0],
         int(m * rng.uniform(1, 2.5)),
     )
 
 
-def _square(rng: Rng, m: int, regular: bool = False) -> F64:
+def _square(rng: _Rng, m: int, regular: bool = False) -> F64:
     side = np.sqrt(m)
     if not regular:
         return rng.uniform(-side / 2, side / 2, (m, 2))
@@ -82,24 +84,24 @@ def _square(rng: Rng, m: int, regular: bool = False) -> F64:
     return np.asarray(xy + rng.normal(0, rng.choice([0, 0.05, 0.15]), xy.shape))
 
 
-def _wave(rng: Rng, m: int, regular: bool = False) -> F64:
+def _wave(rng: _Rng, m: int, regular: bool = False) -> F64:
     xy, side = _square(rng, m, regular), np.sqrt(m)
     a, b = rng.uniform(2, 12, 2)
     z = side * rng.uniform(0, 0.12) * np.sin(a * xy[:, 0] / side) * np.cos(b * xy[:, 1] / side)
     return np.column_stack([xy, z])
 
 
-def _grid(rng: Rng, m: int) -> F64:
+def _grid(rng: _Rng, m: int) -> F64:
     return _wave(rng, m, regular=True)
 
 
-def _slab(rng: Rng, m: int) -> F64:
+def _slab(rng: _Rng, m: int) -> F64:
     xyz = _wave(rng, m)
     xyz[:, 2] += np.where(rng.random(m) < 0.5, 0, rng.uniform(2, 8))
     return xyz
 
 
-def _edge(rng: Rng, m: int) -> F64:
+def _edge(rng: _Rng, m: int) -> F64:
     xyz = _wave(rng, m)
     xyz[:, 2] += np.abs(xyz[:, 0]) * rng.uniform(0.3, 3) + np.where(
         xyz[:, 1] > 0, rng.uniform(0, 15), 0
@@ -107,14 +109,14 @@ def _edge(rng: Rng, m: int) -> F64:
     return xyz
 
 
-def _ball(rng: Rng, m: int) -> F64:
+def _ball(rng: _Rng, m: int) -> F64:
     x = rng.normal(size=(m, 3))
     return np.asarray(
         x / np.linalg.norm(x, axis=1)[:, None] * np.sqrt(m) / 3.5 * rng.uniform(0.5, 1, 3)
     )
 
 
-def _fan(rng: Rng, m: int) -> F64:
+def _fan(rng: _Rng, m: int) -> F64:
     """Spacing that grows with the distance from a point, as a turning scanner's."""
     r = np.exp(rng.uniform(np.log(rng.uniform(0.05, 0.3)), np.log(2), m))
     a = rng.uniform(0, rng.uniform(1, 6.3), m)
@@ -122,7 +124,7 @@ def _fan(rng: Rng, m: int) -> F64:
     return np.column_stack([r * np.cos(a), r * np.sin(a), z])
 
 
-def _stairs(rng: Rng, m: int) -> F64:
+def _stairs(rng: _Rng, m: int) -> F64:
     """Treads, and risers with few points."""
     xy, steps, thin = (
         rng.uniform(0, 1, (m, 2)),
@@ -134,7 +136,7 @@ def _stairs(rng: Rng, m: int) -> F64:
     return np.column_stack([xy, (foot + thin * rng.uniform(0, 1, m)) * rise])
 
 
-def _scan_lines(rng: Rng, m: int) -> F64:
+def _scan_lines(rng: _Rng, m: int) -> F64:
     """Lines that are 2 to 8 times as far apart as their points, over a wave."""
     ratio = rng.uniform(2, 8)
     lines = max(int(np.sqrt(m / ratio)), 4)
@@ -148,7 +150,7 @@ def _scan_lines(rng: Rng, m: int) -> F64:
     return np.column_stack([xy, z])
 
 
-def _depth_steps(rng: Rng, m: int) -> F64:
+def _depth_steps(rng: _Rng, m: int) -> F64:
     """A slope whose heights are whole multiples of a step, as whole disparities make them."""
     xyz = _wave(rng, m)
     xyz[:, 2] += xyz[:, 0] * rng.uniform(0.1, 0.8)
@@ -157,7 +159,7 @@ def _depth_steps(rng: Rng, m: int) -> F64:
     return xyz
 
 
-def _rods(rng: Rng, m: int) -> F64:
+def _rods(rng: _Rng, m: int) -> F64:
     """Thin straight rods, some over a floor."""
     count, floor = int(rng.integers(3, 15)), rng.random() < 0.5
     side, on_rod = np.sqrt(m), rng.random(m) < (0.4 if floor else 1.0)
@@ -175,7 +177,7 @@ def _rods(rng: Rng, m: int) -> F64:
     )
 
 
-def _blobs(rng: Rng, m: int) -> F64:
+def _blobs(rng: _Rng, m: int) -> F64:
     """Stones of many sizes in a heap: ellipsoids that hide each other's parts."""
     count, side = int(rng.integers(5, 40)), np.sqrt(m)
     centre = rng.uniform(-side / 2, side / 2, (count, 3)) * [1, 1, 0.15]
@@ -187,7 +189,7 @@ def _blobs(rng: Rng, m: int) -> F64:
     return np.asarray(xyz[~np.any(inside, axis=0)])
 
 
-def _gravel(rng: Rng, m: int) -> F64:
+def _gravel(rng: _Rng, m: int) -> F64:
     """Stones down to the spacing of the points, seen from above: rough, yet without an outlier."""
     xy, side, count = (
         _square(rng, m, bool(rng.random() < 0.3)),
@@ -205,7 +207,7 @@ def _gravel(rng: Rng, m: int) -> F64:
     )
 
 
-def _fractal(rng: Rng, m: int, waves: int = 150) -> F64:
+def _fractal(rng: _Rng, m: int, waves: int = 150) -> F64:
     """Ground that is rough at every scale: waves whose height falls with a power of their
     length.
     """
@@ -217,7 +219,7 @@ def _fractal(rng: Rng, m: int, waves: int = 150) -> F64:
     return np.column_stack([xy, (np.sin(2 * np.pi * along / length + phase) * height).sum(1)])
 
 
-def _tufts(rng: Rng, m: int) -> F64:
+def _tufts(rng: _Rng, m: int) -> F64:
     """Grass, twigs and rubbish: short blades in patches on uneven ground."""
     ground = _fractal(rng, m)
     m = len(ground)

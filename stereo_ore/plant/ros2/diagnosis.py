@@ -9,7 +9,7 @@ from stereo_ore.plant.sinks.message import Message
 from stereo_ore.times import utc
 
 OK, WARN, ERROR = b"\x00", b"\x01", b"\x02"
-LEVELS = {"ok": OK, "empty": OK, "failed": ERROR}
+_LEVELS = {"ok": OK, "empty": OK, "failed": ERROR}
 """By status of the message; all others warn."""
 
 
@@ -38,7 +38,7 @@ def diagnostics(
     ]
     reasons = f" ({values['reasons']})" if message.reasons else ""
     status = ros.types["diagnostic_msgs/msg/DiagnosticStatus"](
-        level=LEVELS.get(message.status, WARN),
+        level=_LEVELS.get(message.status, WARN),
         name=name,
         message=f"{message.status}{reasons}, {values['targets']} targets",
         hardware_id=camera,

@@ -17,7 +17,7 @@ from stereo_ore.io.recordings.topics import is_rectified
 from stereo_ore.stages.rectify import make_rectifier
 from stereo_ore.types import StereoCalibration
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 KEPT = 64
 """Messages of an eye that are kept to be found by their stamp."""

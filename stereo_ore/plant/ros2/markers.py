@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stereo_ore.io.ros_frame import Json, RosFrame, box_axes, x_along
-from stereo_ore.types import Rig
+from stereo_ore.io.ros_frame import RosFrame, box_axes, x_along
+from stereo_ore.types import JsonMapping, Rig
 
-CUBE, ARROW, TEXT, TRIANGLES = 1, 0, 9, 11
+CUBE, _ARROW, TEXT, TRIANGLES = 1, 0, 9, 11
 ADD, DELETE_ALL = 0, 3
 Colour = tuple[float, float, float, float]
-OVERSIZE: dict[bool | None, Colour] = {
+_OVERSIZE: dict[bool | None, Colour] = {
     True: (1.0, 0.24, 0.24, 0.45),
     False: (0.35, 0.86, 0.43, 0.45),
     None: (1.0, 0.7, 0.16, 0.45),
@@ -23,17 +23,17 @@ OVERSIZE: dict[bool | None, Colour] = {
 as in the overlay; red, green, blue, opacity."""
 SCREEN_COLOUR: Colour = (0.6, 0.65, 0.7, 0.25)
 STRIKE_COLOUR: Colour = (0.1, 0.9, 1.0, 1.0)
-WHITE: Colour = (1.0, 1.0, 1.0, 1.0)
+_WHITE: Colour = (1.0, 1.0, 1.0, 1.0)
 LETTER_SHARE, LEAST_LETTER_M = 0.4, 0.02
 """Height of a label: a share of the lump's middle dimension."""
 ARROW_M, SHAFT_M = 0.15, 0.015
-FARTHEST_M = 100.0
+_FARTHEST_M = 100.0
 """A screen whose corners lie beyond is seen edge on and not drawn."""
 
 
-def lumps(ros: RosFrame, record: Json, rig: Rig, lifetime_s: float) -> Any:
-    """MarkerArray of boxes (``lumps``), numbers and sizes (``labels``) and the part of the screen
-    that is seen (``screen``), in the camera's frame.
+def lump_markers(ros: RosFrame, record: JsonMapping, rig: Rig, lifetime_s: float) -> Any:
+    """MarkerArray of boxes (``lumps``), numbers and sizes (``labels``) and the part of the
+    screen that is seen (``screen``), in the camera's frame.
     """
     found = [_clear(ros)]
     if (corners := screen_corners(record, rig)) is not None:
@@ -44,7 +44,7 @@ def lumps(ros: RosFrame, record: Json, rig: Rig, lifetime_s: float) -> Any:
     return ros.types["visualization_msgs/msg/MarkerArray"](markers=found)
 
 
-def strikes(ros: RosFrame, record: Json, ids: Sequence[int], lifetime_s: float) -> Any:
+def strikes(ros: RosFrame, record: JsonMapping, ids: Sequence[int], lifetime_s: float) -> Any:
     """MarkerArray of arrows that end where the tool is to hit (``strikes``), best first, in the
     camera's frame.
     """
@@ -55,16 +55,16 @@ def strikes(ros: RosFrame, record: Json, ids: Sequence[int], lifetime_s: float) 
         direction = np.array(plans[id]["direction"]["camera"])
         pose = ros.pose(point - ARROW_M * direction, x_along(direction))
         scale = (ARROW_M, SHAFT_M, SHAFT_M)
-        found.append(_marker(ros, "strikes", rank, ARROW, pose, scale, STRIKE_COLOUR, lifetime_s))
+        found.append(_marker(ros, "strikes", rank, _ARROW, pose, scale, STRIKE_COLOUR, lifetime_s))
     return ros.types["visualization_msgs/msg/MarkerArray"](markers=found)
 
 
-def none(ros: RosFrame) -> Any:
+def no_markers(ros: RosFrame) -> Any:
     """MarkerArray that removes what is shown."""
     return ros.types["visualization_msgs/msg/MarkerArray"](markers=[_clear(ros)])
 
 
-def screen_corners(record: Json, rig: Rig) -> npt.NDArray[np.float64] | None:
+def screen_corners(record: JsonMapping, rig: Rig) -> npt.NDArray[np.float64] | None:
     """Where the rays of the image's corners (4, 3) meet the screen's plane [m], in the camera's
     frame; None where there is no plane, or where it is seen edge on.
     """
@@ -75,7 +75,7 @@ def screen_corners(record: Json, rig: Rig) -> npt.NDArray[np.float64] | None:
     rays = rig.back_project(u, v, 1.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         depth = plane["offset_m"] / (rays @ np.array(plane["normal"]))
-    seen = bool(np.all((depth > 0) & (depth < FARTHEST_M)))
+    seen = bool(np.all((depth > 0) & (depth < _FARTHEST_M)))
     return rays * depth[:, None] if seen else None
 
 
@@ -91,16 +91,16 @@ def _screen(ros: RosFrame, corners: npt.NDArray[np.float64], lifetime_s: float) 
     return marker
 
 
-def _lump(ros: RosFrame, ore: Json, lifetime_s: float) -> Any:
+def _lump(ros: RosFrame, ore: JsonMapping, lifetime_s: float) -> Any:
     pose = ros.pose(ore["box"]["camera"]["centre"], box_axes(ore))
-    colour = OVERSIZE[ore["oversize"]]
+    colour = _OVERSIZE[ore["oversize"]]
     return _marker(ros, "lumps", ore["id"], CUBE, pose, ore["box"]["extent_m"], colour, lifetime_s)
 
 
-def _label(ros: RosFrame, ore: Json, lifetime_s: float) -> Any:
+def _label(ros: RosFrame, ore: JsonMapping, lifetime_s: float) -> Any:
     pose = ros.pose(ore["box"]["camera"]["centre"], np.eye(3))
     height = max(LEAST_LETTER_M, LETTER_SHARE * sorted(ore["box"]["extent_m"])[1])
-    marker = _marker(ros, "labels", ore["id"], TEXT, pose, (0, 0, height), WHITE, lifetime_s)
+    marker = _marker(ros, "labels", ore["id"], TEXT, pose, (0, 0, height), _WHITE, lifetime_s)
     size = " × ".join(f"{length:.2f}" for length in ore["size_m"]) if ore["size_m"] else ""
     marker.text = f"{ore['id']}\n{size} m" if size else str(ore["id"])
     return marker

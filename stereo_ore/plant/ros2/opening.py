@@ -14,7 +14,7 @@ from stereo_ore.plant.ros2.node import Node
 from stereo_ore.plant.ros2.source import IMAGES, Topics, Wanted
 from stereo_ore.types import StereoCalibration
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 WAIT_S = 30.0
 """A driver that does not deliver within this time is an error at the start."""
@@ -24,7 +24,7 @@ NOT_FOUND = (
     "Does the driver run, in this domain? One on another machine is found with"
     " ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET"
 )
-SETTLED_S = 1.0
+_SETTLED_S = 1.0
 """Topics become known one after the other: a choice is made when none has come for this time."""
 
 
@@ -42,7 +42,7 @@ def open_topics(wanted: Wanted) -> Topics:
     try:
         source = Topics(node, wanted.topics or _find(node), wanted)
         left, right = source.topics
-        log.info("ROS 2: %s and %s (%s)", left, right, domain())
+        _log.info("ROS 2: %s and %s (%s)", left, right, domain())
         _wait(lambda: source.delivers, f"no pair of {left} and {right}")
     except BaseException:
         node.close()
@@ -50,7 +50,7 @@ def open_topics(wanted: Wanted) -> Topics:
     return source
 
 
-def calibration_of(source: Topics) -> StereoCalibration:
+def calibration_of_topics(source: Topics) -> StereoCalibration:
     """The calibration in the topics' `camera_info`.
 
     Raises
@@ -67,11 +67,11 @@ def calibration_of(source: Topics) -> StereoCalibration:
         f"no camera_info of {left} and {right}",
         remedy,
     )
-    log.info("calibration: camera_info of %s and %s", left, right)
+    _log.info("calibration: camera_info of %s and %s", left, right)
     return source.infos.use()
 
 
-def compare(source: Topics, calibration: StereoCalibration, file: Path) -> None:
+def compare_with_topics(source: Topics, calibration: StereoCalibration, file: Path) -> None:
     """Say how the topics' calibration differs from the one that is given, where they have one.
 
     Raises
@@ -82,11 +82,11 @@ def compare(source: Topics, calibration: StereoCalibration, file: Path) -> None:
     check_images(source.topics[0], calibration, file)
     if not source.find_infos():
         return
-    end = time.monotonic() + SETTLED_S
+    end = time.monotonic() + _SETTLED_S
     while not source.infos.complete and time.monotonic() < end:
         time.sleep(POLL_S)
     if source.infos.complete and (words := source.infos.compare(calibration)):
-        log.warning("camera_info of %s %s: %s counts", source.topics[0], words, file)
+        _log.warning("camera_info of %s %s: %s counts", source.topics[0], words, file)
 
 
 def _find(node: Node) -> tuple[str, str]:
@@ -99,7 +99,7 @@ def _find(node: Node) -> tuple[str, str]:
         found = {topic for topic, kind in node.topics().items() if kind in IMAGES}
         if found != known:
             known, changed_s = found, time.monotonic()
-        return len(known) > 1 and time.monotonic() - changed_s > SETTLED_S
+        return len(known) > 1 and time.monotonic() - changed_s > _SETTLED_S
 
     _wait(settled, f"no image topics ({domain()})")
     return choose_topics(known, None, "ROS 2")
@@ -116,5 +116,5 @@ def _wait(condition: Callable[[], object], problem: str, remedy: str | None = No
             )
         if waited_s > TOLD_AFTER_S and not told:
             told = True
-            log.info("ROS 2: %s yet; waiting (%s)", problem, domain())
+            _log.info("ROS 2: %s yet; waiting (%s)", problem, domain())
         time.sleep(POLL_S)

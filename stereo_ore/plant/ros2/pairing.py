@@ -12,15 +12,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-PATIENCE_S = 5.0
+ROS_PATIENCE_S = 5.0
 """An image without a partner is given up after this time: one that was lost on the way comes again
 only with the next."""
-MOST_WAITING = 16
+ROS_MOST_WAITING = 16
 """Images of an eye that wait for their partners: a bound on memory."""
 
 
 @dataclass(frozen=True)
-class Taken:
+class TakenEyes:
     """An image: when its message says that it was taken, and when it was here.
 
     `number` is the publisher's own count of its messages, None where the middleware keeps none.
@@ -36,12 +36,12 @@ class Taken:
 class Coming:
     """A frame of both eyes or of one; `lost` frames before it never came."""
 
-    left: Taken | None
-    right: Taken | None
+    left: TakenEyes | None
+    right: TakenEyes | None
     lost: int = 0
 
     @property
-    def first(self) -> Taken:
+    def first(self) -> TakenEyes:
         """The left image, or the only one."""
         image = self.left or self.right
         assert image is not None, "a frame has an image"
@@ -63,19 +63,19 @@ class Pairer:
 
     def __init__(self, max_skew_ns: int) -> None:
         self._max_skew_ns = max_skew_ns
-        self._waiting: tuple[deque[Taken], deque[Taken]] = deque(), deque()
+        self._waiting: tuple[deque[TakenEyes], deque[TakenEyes]] = deque(), deque()
         self._numbers: list[int | None] = [None, None]
         self._missing = [0, 0]
         self._alone = [0, 0]
 
-    def add(self, eye: int, image: Taken) -> list[Coming]:
+    def add(self, eye: int, image: TakenEyes) -> list[Coming]:
         """The frames that are decided by an image of the left (0) or right (1) eye, in order."""
         self._count(eye, image)
         mine, others = self._waiting[eye], self._waiting[1 - eye]
         partner = min(others, key=lambda o: abs(o.stamp_ns - image.stamp_ns), default=None)
         if partner is None or abs(partner.stamp_ns - image.stamp_ns) > self._max_skew_ns:
             mine.append(image)
-            return [self._single(eye)] if len(mine) > MOST_WAITING else []
+            return [self._single(eye)] if len(mine) > ROS_MOST_WAITING else []
         found = []
         while mine:
             found.append(self._single(eye))
@@ -92,7 +92,7 @@ class Pairer:
             self._single(eye)
             for eye, waiting in enumerate(self._waiting)
             for image in tuple(waiting)
-            if now_s - image.arrived_s > PATIENCE_S
+            if now_s - image.arrived_s > ROS_PATIENCE_S
         ]
         return sorted(found, key=lambda coming: coming.arrived_s)
 
@@ -101,7 +101,7 @@ class Pairer:
         self._alone[eye] += 1
         return Coming(image, None) if eye == 0 else Coming(None, image)
 
-    def _count(self, eye: int, image: Taken) -> None:
+    def _count(self, eye: int, image: TakenEyes) -> None:
         """Note how many messages of an eye have not come."""
         before = self._numbers[eye]
         if image.number is not None and before is not None:
@@ -153,7 +153,7 @@ class Newest:
 def bare(coming: Coming) -> Coming:
     """The frame without its images' pixels."""
 
-    def without(image: Taken | None) -> Taken | None:
-        return image and Taken(image.stamp_ns, image.arrived_s, None, image.number)
+    def without(image: TakenEyes | None) -> TakenEyes | None:
+        return image and TakenEyes(image.stamp_ns, image.arrived_s, None, image.number)
 
     return Coming(without(coming.left), without(coming.right), coming.lost)

@@ -22,10 +22,11 @@ from stereo_ore.plant.ros2.install import has_transforms, octets
 from stereo_ore.plant.ros2.node import Node
 from stereo_ore.plant.ros2.view import View, camera_info, static_publisher
 from stereo_ore.plant.sinks.base import SinkState
-from stereo_ore.plant.sinks.message import Json, Message
+from stereo_ore.plant.sinks.message import Message
 from stereo_ore.plant.sinks.settings import Ros2Settings
+from stereo_ore.types import JsonMapping
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 LEASE_S = 1.0
 """Time after which silence means that this program is gone; half of what targets hold, where that
@@ -54,7 +55,7 @@ class _Shown:
     """A message, with the record and age of its frame where it is about one."""
 
     message: Message
-    record: Json | None = None
+    record: JsonMapping | None = None
     age_s: float | None = None
 
 
@@ -110,7 +111,7 @@ class Ros2Sink:
         """Take a message that belongs to no frame, or withdraws one's targets."""
         self._put(_Shown(message))
 
-    def show(self, message: Message, record: Json, age_s: float) -> None:
+    def show(self, message: Message, record: JsonMapping, age_s: float) -> None:
         """Take the message of a frame, whose cloud and overlay are in the run's folder."""
         self._put(_Shown(message, record, age_s))
 
@@ -158,7 +159,7 @@ class Ros2Sink:
                 self._ros(time.time_ns()).transform(self._view.T_arm_camera)
             )
         else:
-            log.info("without tf2_msgs /tf_static is not published; for RViz: %s", command)
+            _log.info("without tf2_msgs /tf_static is not published; for RViz: %s", command)
 
     def _run(self) -> None:
         while True:
@@ -175,7 +176,7 @@ class Ros2Sink:
                 self._fault = ""
             except Exception as fault:  # what the middleware raises has no common base
                 if not self._fault:
-                    log.exception("ROS 2")
+                    _log.exception("ROS 2")
                 self._fault = f"can't publish: {fault}"
                 if closed:
                     return
@@ -198,23 +199,27 @@ class Ros2Sink:
         self._latest = replace(shown, message=message)
         ids = [target.id for target in message.targets]
         ros, record = self._ros(message.stamp_ns or 0), shown.record
-        empty: Json = {"ores": []}
+        empty: JsonMapping = {"ores": []}
         for topic, base in (("targets", "arm"), ("targets_camera", "camera")):
             self._publishers[topic].publish(
                 ros.targets(record or empty, "arm" if base == "arm" else "camera", ids)
             )
         lifetime_s = max(0.0, message.deadline - time.monotonic())
-        strikes = markers.strikes(ros, record, ids, lifetime_s) if record else markers.none(ros)
+        strikes = (
+            markers.strikes(ros, record, ids, lifetime_s) if record else markers.no_markers(ros)
+        )
         self._publishers["strikes"].publish(strikes)
         self._diagnose(self._latest)
         if record is not None:
             self._show(ros, record)
         self._sent += 1
 
-    def _show(self, ros: RosFrame, record: Json) -> None:
+    def _show(self, ros: RosFrame, record: JsonMapping) -> None:
         """What people look at; of topics without listeners only the latest that costs little."""
         view, frame = self._view, record["frame"]
-        self._publishers["lumps"].publish(markers.lumps(ros, record, view.rig, view.valid_for_s))
+        self._publishers["lumps"].publish(
+            markers.lump_markers(ros, record, view.rig, view.valid_for_s)
+        )
         self._publishers["camera_info"].publish(camera_info(ros, view.rig))
         if (cloud := self._results.cloud(frame)) is not None:
             self._publishers["cloud"].publish(ros.cloud(cloud))

@@ -24,12 +24,12 @@ from stereo_ore.io.recordings.topics import camera_info_topics
 from stereo_ore.plant.frames import LiveFrame, Position
 from stereo_ore.plant.ros2.infos import Infos
 from stereo_ore.plant.ros2.node import Node
-from stereo_ore.plant.ros2.pairing import Coming, Newest, Pairer, Taken
+from stereo_ore.plant.ros2.pairing import Coming, Newest, Pairer, TakenEyes
 from stereo_ore.types import StereoPair
 
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 INFO = "sensor_msgs/msg/CameraInfo"
-DEPTH = 10
+_DEPTH = 10
 """Messages that the middleware keeps until they are taken."""
 LOOK_S = 1.0
 """How often overdue images and the publishers' quality of service are looked at."""
@@ -157,7 +157,7 @@ class Topics:
             self._node.ros.destroy_subscription(known[0])
         policy = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
         made = self._node.ros.create_subscription(
-            self._node.types[kind], topic, callback, QoSProfile(depth=DEPTH, reliability=policy)
+            self._node.types[kind], topic, callback, QoSProfile(depth=_DEPTH, reliability=policy)
         )
         self._subscriptions[topic] = made, reliable
 
@@ -173,7 +173,7 @@ class Topics:
         if stamp_ns <= 0:  # a driver that leaves it empty
             stamp_ns = int(info["source_timestamp"]) or time.time_ns()
         with self._changed:
-            self._add(self._pairer.add(eye, Taken(stamp_ns, arrived_s, message, number)))
+            self._add(self._pairer.add(eye, TakenEyes(stamp_ns, arrived_s, message, number)))
 
     def _add(self, found: list[Coming]) -> None:
         for coming in found:
@@ -237,7 +237,7 @@ class Topics:
         pair = to_8_bit(*images)
         return StereoPair(*pair, name, index, left.stamp_ns, "header")
 
-    def _image(self, image: Taken, eye: int) -> Image:
+    def _image(self, image: TakenEyes, eye: int) -> Image:
         topic = Path(self.topics[eye])
         try:
             return ros_messages.image(image.message, topic, self._wanted.max_pixels)

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol, Self, runtime_checkable
 
-from stereo_ore.plant.sinks.message import Json, Message
+from stereo_ore.plant.sinks.message import Message
+from stereo_ore.types import JsonMapping
 
 OUTBOX_SIZE = 64
 """Messages kept for a consumer that is slow or away; the oldest goes first, and is counted."""
@@ -62,7 +63,7 @@ class TargetSink(Protocol):
 class FrameSink(TargetSink, Protocol):
     """A sink that shows more of a frame than its targets."""
 
-    def show(self, message: Message, record: Json, age_s: float) -> None:
+    def show(self, message: Message, record: JsonMapping, age_s: float) -> None:
         """Take the message of a frame with its record, `age_s` after it arrived [s]; as `publish`,
         in its place.
         """

@@ -9,18 +9,16 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from stereo_ore.times import utc
-from stereo_ore.types import F64
+from stereo_ore.types import F64, JsonMapping
 
-SCHEMA = "stereo_ore/targets/1"
+_SCHEMA = "stereo_ore/targets/1"
 """Described in schema/targets-1.json."""
 
-Json = Mapping[str, Any]
-Vector = tuple[float, float, float]
+_Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -33,13 +31,13 @@ class Target:
     """
 
     id: int
-    position_m: Vector
-    direction: Vector
-    size_m: Vector | None
+    position_m: _Vector
+    direction: _Vector
+    size_m: _Vector | None
     oversize: bool | None
     score: float
     volume_m3: float | None = None
-    sigma_m: Vector | None = None
+    sigma_m: _Vector | None = None
 
 
 @dataclass(frozen=True)
@@ -108,7 +106,7 @@ class Message:
         integers round, and as text with all nine digits.
         """
         head = {
-            "schema": SCHEMA,
+            "schema": _SCHEMA,
             "sequence": self.sequence,
             "valid": self.valid,
             "units": "m",
@@ -154,7 +152,7 @@ def notice(sequence: int, origin: Origin, status: str) -> Message:
 
 
 def message(
-    record: Json, sequence: int, origin: Origin, *, age_s: float, valid_for_s: float
+    record: JsonMapping, sequence: int, origin: Origin, *, age_s: float, valid_for_s: float
 ) -> Message:
     """The message of a frame's record.
 
@@ -192,7 +190,7 @@ def message(
     return whole.current()
 
 
-def _targets(record: Json) -> tuple[tuple[Target, ...], tuple[str, ...]]:
+def _targets(record: JsonMapping) -> tuple[tuple[Target, ...], tuple[str, ...]]:
     """Targets that an arm can use, and the codes of what stands against the others."""
     if record["status"] != "ok" or not record["targets"]:
         return (), ()
@@ -204,7 +202,7 @@ def _targets(record: Json) -> tuple[tuple[Target, ...], tuple[str, ...]]:
     return usable, () if len(usable) == len(found) else ("TARGET_INCOMPLETE",)
 
 
-def _target(ore: Json) -> Target | None:
+def _target(ore: JsonMapping) -> Target | None:
     """None for an ore whose strike is not fully known: half a target is none."""
     strike = ore["strike"]
     if strike is None:

@@ -26,17 +26,17 @@ from stereo_ore.plant.sinks.supervisor import Supervisor
 if TYPE_CHECKING:
     from pymodbus.constants import ExcCodes
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
-HEARTBEAT_S = 0.5
+MODBUS_HEARTBEAT_S = 0.5
 FUNCTIONS = (3, 4, 6, 16, 22, 23)
 """Read registers of either kind; write one, several, bits of one; write and read. There are no
 coils."""
-MAX_CONSUMERS = 16
+MODBUS_CONSUMERS = 16
 IDLE_S = 10.0
 """A master that has asked nothing for this time gives its place to one waiting."""
 
-Network = ipaddress.IPv4Network | ipaddress.IPv6Network
+_Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 
 
 class ModbusSink:
@@ -60,7 +60,7 @@ class ModbusSink:
         self,
         host: str,
         port: int,
-        clients: Sequence[Network] = (),
+        clients: Sequence[_Network] = (),
         origin: Origin = Origin(),  # noqa: B008
     ) -> None:
         try:
@@ -145,9 +145,9 @@ class ModbusSink:
                     raise OutputError("no longer listens", key="modbus")
                 self._beats += 1
                 self._supervisor.beat()
-                await asyncio.sleep(HEARTBEAT_S)
+                await asyncio.sleep(MODBUS_HEARTBEAT_S)
             # Masters poll: what was published last must still reach them.
-            await asyncio.sleep(HEARTBEAT_S)
+            await asyncio.sleep(MODBUS_HEARTBEAT_S)
         finally:
             await server.shutdown()
             self._asked.clear()
@@ -206,15 +206,17 @@ class ModbusSink:
     def _welcome(self, peer: str) -> bool:
         address = ipaddress.ip_address(peer.partition("%")[0])
         if self._clients and not any(address in network for network in self._clients):
-            log.warning("Modbus TCP: %s is not among modbus.clients: refused", peer)
+            _log.warning("Modbus TCP: %s is not among modbus.clients: refused", peer)
             return False
-        if len(self._asked) < MAX_CONSUMERS:
+        if len(self._asked) < MODBUS_CONSUMERS:
             return True
         longest = min(self._asked, key=lambda transport: self._asked[transport])
         if time.monotonic() - self._asked[longest] < IDLE_S:
-            log.warning("Modbus TCP: %d masters are connected, %s is refused", MAX_CONSUMERS, peer)
+            _log.warning(
+                "Modbus TCP: %d masters are connected, %s is refused", MODBUS_CONSUMERS, peer
+            )
             return False
-        log.warning("Modbus TCP: a master that asks nothing makes room for %s", peer)
+        _log.warning("Modbus TCP: a master that asks nothing makes room for %s", peer)
         del self._asked[longest]
         longest.abort()
         return True

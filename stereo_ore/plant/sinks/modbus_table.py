@@ -18,17 +18,17 @@ from dataclasses import dataclass
 
 from stereo_ore.plant.sinks.message import Message, Target
 
-VERSION = 1
-SLOTS, SLOT_WORDS, HEAD_WORDS = 16, 32, 16
-END = HEAD_WORDS + SLOTS * SLOT_WORDS
+_VERSION = 1
+MODBUS_SLOTS, SLOT_WORDS, HEAD_WORDS = 16, 32, 16
+END = HEAD_WORDS + MODBUS_SLOTS * SLOT_WORDS
 READABLE_WORDS = END + 2
 ACKNOWLEDGEMENT, ACKNOWLEDGEMENT_WORDS = 600, 3
 
 STATUSES = ("starting", "ok", "degraded", "empty", "failed", "expired", "stopped")
 """By their number in the table."""
-NAN = float("nan")
+_NAN = float("nan")
 LARGEST_FLOAT32 = 3.4028234e38
-UNKNOWN, NOT_OVERSIZE, OVERSIZE = 0, 1, 2
+_UNKNOWN, NOT_OVERSIZE, _OVERSIZE = 0, 1, 2
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Register:
 
 
 HEAD = (
-    Register(0, "H", "version", "", f"layout of this table: {VERSION}"),
+    Register(0, "H", "version", "", f"layout of this table: {_VERSION}"),
     Register(1, "H", "heartbeat", "", "counts up twice a second while the program lives"),
     Register(2, "I", "sequence", "", "number of the message; first written"),
     Register(4, "H", "valid", "", "1 while targets may be struck, else 0"),
@@ -105,19 +105,19 @@ def words(message: Message, heartbeat: int) -> list[int]:
     remaining_s = message.deadline - time.monotonic() if message.valid else 0.0
     data = bytearray(2 * READABLE_WORDS)
     head = (
-        VERSION,
+        _VERSION,
         heartbeat % 2**16,
         message.sequence % 2**32,
         message.valid,
         min(2**16 - 1, int(1000 * max(0.0, remaining_s))),
-        len(message.targets[:SLOTS]),
+        len(message.targets[:MODBUS_SLOTS]),
         STATUSES.index(message.status),
         -1 if message.index is None else min(message.index, 2**31 - 1),
         message.origin.replay,
         zlib.crc32(message.origin.session.encode()) % 2**16,
     )
     _put(data, 0, HEAD, head)
-    for slot in range(SLOTS):
+    for slot in range(MODBUS_SLOTS):
         target = message.targets[slot] if slot < len(message.targets) else None
         _put(data, HEAD_WORDS + slot * SLOT_WORDS, SLOT, _slot(target, message.sequence))
     _put(data, 0, TAIL, (message.sequence % 2**32,))
@@ -135,7 +135,7 @@ def rows() -> list[tuple[int, str, str, str, str]]:
         Register(HEAD_WORDS + slot * SLOT_WORDS + register.address, register.code,
         f"target_{slot + 1}.{register.name}",
                  register.unit, register.text)
-        for slot in range(SLOTS) for register in SLOT
+        for slot in range(MODBUS_SLOTS) for register in SLOT
     ]  # fmt: skip
     types = {"H": "uint16", "I": "uint32", "i": "int32", "f": "float32"}
     return [
@@ -146,11 +146,11 @@ def rows() -> list[tuple[int, str, str, str, str]]:
 
 def _slot(target: Target | None, sequence: int) -> tuple[float, ...]:
     if target is None:
-        return (0, 0, UNKNOWN, *(NAN,) * (len(SLOT) - 3))
-    size = target.size_m or (NAN,) * 3
-    sigma = target.sigma_m or (NAN,) * 3
-    oversize = {True: OVERSIZE, False: NOT_OVERSIZE, None: UNKNOWN}[target.oversize]
-    volume = NAN if target.volume_m3 is None else target.volume_m3
+        return (0, 0, _UNKNOWN, *(_NAN,) * (len(SLOT) - 3))
+    size = target.size_m or (_NAN,) * 3
+    sigma = target.sigma_m or (_NAN,) * 3
+    oversize = {True: _OVERSIZE, False: NOT_OVERSIZE, None: _UNKNOWN}[target.oversize]
+    volume = _NAN if target.volume_m3 is None else target.volume_m3
     numbers = *target.position_m, *target.direction, *size, volume, *sigma, target.score
     return (sequence % 2**16, target.id % 2**16, oversize, *numbers)
 

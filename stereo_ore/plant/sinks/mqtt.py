@@ -21,16 +21,16 @@ from stereo_ore.plant.sinks.message import Message, Origin, notice, offline
 if TYPE_CHECKING:
     from paho.mqtt.client import Client, MQTTMessageInfo
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 KEEPALIVE_S = 5
 """The broker withdraws the targets 1.5 times this after the connection has gone silent."""
 RECONNECT_S = (1, 8)
 """First and longest pause between attempts to connect."""
-CLOSING_S = 1.0
+_CLOSING_S = 1.0
 GREETING_S = 1.0
 """Time for a new message after a connection before the latest is sent again."""
-HEADER_BYTES = 64
+_HEADER_BYTES = 64
 """More than the fixed header, the topic's length and the properties of a packet take."""
 RETAIN_NOT_SUPPORTED, QOS_NOT_SUPPORTED = 0x9A, 0x9B
 
@@ -119,7 +119,7 @@ class MqttSink:
         trace: TracebackType | None,
     ) -> None:
         self._outbox.close()
-        self._thread.join(CLOSING_S)
+        self._thread.join(_CLOSING_S)
         self._stopping.set()
         self._thread.join()
         self._connected.clear()
@@ -182,7 +182,7 @@ class MqttSink:
         not even none.
         """
         limit = self._offer.packet_bytes
-        room = None if limit is None else limit - HEADER_BYTES - len(self.topic.encode())
+        room = None if limit is None else limit - _HEADER_BYTES - len(self.topic.encode())
         for count in range(len(message.targets), -1, -1):
             fitting = message.shortened(count)
             if room is None or len(fitting.line().encode()) <= room:
@@ -217,7 +217,7 @@ class MqttSink:
     ) -> None:
         self._detail = str(reason)
         if reason.is_failure:
-            log.warning(
+            _log.warning(
                 "MQTT broker %s:%d refuses the connection: %s", self.host, self.port, reason
             )
             self._do_without(reason.value)
@@ -229,7 +229,7 @@ class MqttSink:
         )
         if not self._offer.retain:
             self._detail += "; without retained messages"
-        log.info("MQTT broker %s:%d: connected", self.host, self.port)
+        _log.info("MQTT broker %s:%d: connected", self.host, self.port)
         self._greeted.clear()
         self._connected.set()
 
@@ -251,7 +251,7 @@ class MqttSink:
             # read.
             self._connected.clear()
             self._detail = f"disconnected: {reason}"
-            log.warning(
+            _log.warning(
                 "MQTT broker %s:%d: %s; connecting again", self.host, self.port, self._detail
             )
             self._do_without(reason.value)

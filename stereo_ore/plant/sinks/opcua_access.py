@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from asyncua import Server, ua
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 ONE_RANGE = re.compile(r"(\d{1,9})(?::(\d{1,9}))?", re.ASCII)
 
@@ -140,6 +140,6 @@ class Users:
         if expected is None or not hmac.compare_digest(
             expected.encode(), (password or "").encode()
         ):
-            log.warning("OPC UA: login refused")
+            _log.warning("OPC UA: login refused")
             return None
         return User(role=UserRole.User, name=username)

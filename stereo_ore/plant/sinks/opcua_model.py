@@ -19,10 +19,10 @@ from typing import Any
 from stereo_ore.plant.sinks.message import Message, Target
 
 NAMESPACE = "urn:stereo-ore:targets"
-SLOTS = 16
+OPCUA_SLOTS = 16
 
-NAN = float("nan")
-OVERSIZE = {True: 1, False: 0, None: -1}
+_NAN = float("nan")
+_OVERSIZE = {True: 1, False: 0, None: -1}
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 NO_TIME = datetime(1601, 1, 1, tzinfo=UTC)
 """OPC UA's null time."""
@@ -30,7 +30,7 @@ LARGEST_INT32 = 2**31 - 1
 
 
 @dataclass(frozen=True)
-class Unit:
+class _Unit:
     """A unit of UNECE Recommendation 20; `code` is its common code as the number that EUInformation
     wants.
     """
@@ -40,9 +40,9 @@ class Unit:
 
 
 UNITS = {
-    "m": Unit("metre", 5067858),
-    "m³": Unit("cubic metre", 5067857),
-    "ns": Unit("nanosecond", 4404279),
+    "m": _Unit("metre", 5067858),
+    "m³": _Unit("cubic metre", 5067857),
+    "ns": _Unit("nanosecond", 4404279),
 }
 """MTR, MTQ, C47: the characters of the common code as one big-endian number (OPC 10000-8,
 5.6.3)."""
@@ -73,10 +73,10 @@ def _slot(
     """An array with a value a slot."""
 
     def value(message: Message) -> list[Any]:
-        used = [get(target) for target in message.targets[:SLOTS]]
-        return used + [empty] * (SLOTS - len(used))
+        used = [get(target) for target in message.targets[:OPCUA_SLOTS]]
+        return used + [empty] * (OPCUA_SLOTS - len(used))
 
-    return Variable("Targets", name, type, text, value, unit, SLOTS, certain=False)
+    return Variable("Targets", name, type, text, value, unit, OPCUA_SLOTS, certain=False)
 
 
 def _vectors(
@@ -90,11 +90,15 @@ def _vectors(
 
     def value(message: Message) -> list[float]:
         used = [
-            number for target in message.targets[:SLOTS] for number in get(target) or (NAN,) * 3
+            number
+            for target in message.targets[:OPCUA_SLOTS]
+            for number in get(target) or (_NAN,) * 3
         ]
-        return used + [NAN] * (3 * SLOTS - len(used))
+        return used + [_NAN] * (3 * OPCUA_SLOTS - len(used))
 
-    return Variable("Targets", name, "Double", text, value, unit, 3 * SLOTS, frame, certain=False)
+    return Variable(
+        "Targets", name, "Double", text, value, unit, 3 * OPCUA_SLOTS, frame, certain=False
+    )
 
 
 def _result(
@@ -117,24 +121,24 @@ PAYLOAD = (
         "SequenceNumber",
         "UInt32",
         "Sequence; first written",
-        lambda m: [m.sequence] * SLOTS,
-        length=SLOTS,
+        lambda m: [m.sequence] * OPCUA_SLOTS,
+        length=OPCUA_SLOTS,
     ),
     Variable("Targets", "Valid", "Boolean", "true while targets may be struck", lambda m: m.valid),
     Variable("Targets", "Count", "UInt32", "slots in use, best target first",
-    lambda m: len(m.targets[:SLOTS])),
+    lambda m: len(m.targets[:OPCUA_SLOTS])),
     _slot("Id", "UInt32", "ore id in the frame; 0: slot not in use", lambda t: t.id, 0),
     _vectors("Position", "strike points x y z", lambda t: t.position_m, "m", "arm"),
     _vectors("Direction", "unit vectors the tool moves along", lambda t: t.direction, frame="arm"),
     _vectors("Size", "longest, middle, shortest; NaN unknown", lambda t: t.size_m, "m"),
     _slot("Volume", "Double", "volume of the lump; NaN unknown",
-    lambda t: NAN if t.volume_m3 is None else t.volume_m3,
-          NAN, "m³"),
+    lambda t: _NAN if t.volume_m3 is None else t.volume_m3,
+          _NAN, "m³"),
     _vectors("Sigma", "standard deviations of the centre of gravity; NaN unknown",
     lambda t: t.sigma_m, "m",
              "left_rectified"),
-    _slot("Oversize", "Int16", "1 yes, 0 no, -1 unknown", lambda t: OVERSIZE[t.oversize], -1),
-    _slot("Score", "Double", "quality of the strike", lambda t: t.score, NAN),
+    _slot("Oversize", "Int16", "1 yes, 0 no, -1 unknown", lambda t: _OVERSIZE[t.oversize], -1),
+    _slot("Score", "Double", "quality of the strike", lambda t: t.score, _NAN),
     _result("Frame", "String", "name of the frame", lambda m: m.frame or ""),
     _result("FrameIndex", "Int64", "number of the frame; -1: none", _index),
     _result("FrameIndex32", "Int32", "FrameIndex for clients without 64 bits",

@@ -12,7 +12,7 @@ from xml.etree.ElementTree import Element, SubElement
 from stereo_ore.plant.sinks.opcua_model import CONTROL, NAMESPACE, PAYLOAD, UNITS, Variable
 
 NODESET = "http://opcfoundation.org/UA/2011/03/UANodeSet.xsd"
-TYPES = "http://opcfoundation.org/UA/2008/02/Types.xsd"
+_TYPES = "http://opcfoundation.org/UA/2008/02/Types.xsd"
 UNECE = "http://www.opcfoundation.org/UA/units/un/cefact"
 
 ALIASES = {
@@ -31,7 +31,7 @@ ALIASES = {
     "HasProperty": "i=46",
     "HasComponent": "i=47",
 }
-OBJECTS, FOLDER, OBJECT, VARIABLE, PROPERTY, ANALOG = (
+OBJECTS, _FOLDER, OBJECT, VARIABLE, PROPERTY, ANALOG = (
     "i=85",
     "i=61",
     "i=58",
@@ -64,7 +64,12 @@ def nodeset() -> str:
     _node(root, "UAObject", ROOT, ROOT, OBJECT, (OBJECTS, "Organizes"))
     for folder in dict.fromkeys(variable.folder for variable in (*PAYLOAD, *CONTROL)):
         _node(
-            root, "UAObject", f"{ROOT}.{folder}", folder, FOLDER, (f"ns=1;s={ROOT}", "HasComponent")
+            root,
+            "UAObject",
+            f"{ROOT}.{folder}",
+            folder,
+            _FOLDER,
+            (f"ns=1;s={ROOT}", "HasComponent"),
         )
     for variable in (*PAYLOAD, *CONTROL):
         _variable(root, variable)
@@ -121,7 +126,7 @@ def _variable(root: Element, variable: Variable) -> None:
             root, "UAVariable", f"{id}.Frame", "Frame", PROPERTY, (f"ns=1;s={id}", "HasProperty")
         )
         frame.set("DataType", "String")
-        SubElement(SubElement(frame, "Value"), f"{{{TYPES}}}String").text = variable.frame
+        SubElement(SubElement(frame, "Value"), f"{{{_TYPES}}}String").text = variable.frame
     if variable.unit:
         _unit(root, id, variable.unit)
 
@@ -131,12 +136,12 @@ def _unit(root: Element, id: str, unit: str) -> None:
     parent = f"ns=1;s={id}", "HasProperty"
     node = _node(root, "UAVariable", f"{id}.Unit", "EngineeringUnits", PROPERTY, parent, space=0)
     node.set("DataType", "EUInformation")
-    wrapper = SubElement(SubElement(node, "Value"), f"{{{TYPES}}}ExtensionObject")
+    wrapper = SubElement(SubElement(node, "Value"), f"{{{_TYPES}}}ExtensionObject")
     SubElement(
-        SubElement(wrapper, f"{{{TYPES}}}TypeId"), f"{{{TYPES}}}Identifier"
+        SubElement(wrapper, f"{{{_TYPES}}}TypeId"), f"{{{_TYPES}}}Identifier"
     ).text = EU_ENCODING
-    body = SubElement(SubElement(wrapper, f"{{{TYPES}}}Body"), f"{{{TYPES}}}EUInformation")
-    SubElement(body, f"{{{TYPES}}}NamespaceUri").text = UNECE
-    SubElement(body, f"{{{TYPES}}}UnitId").text = str(UNITS[unit].code)
+    body = SubElement(SubElement(wrapper, f"{{{_TYPES}}}Body"), f"{{{_TYPES}}}EUInformation")
+    SubElement(body, f"{{{_TYPES}}}NamespaceUri").text = UNECE
+    SubElement(body, f"{{{_TYPES}}}UnitId").text = str(UNITS[unit].code)
     for tag, text in (("DisplayName", unit), ("Description", UNITS[unit].name)):
-        SubElement(SubElement(body, f"{{{TYPES}}}{tag}"), f"{{{TYPES}}}Text").text = text
+        SubElement(SubElement(body, f"{{{_TYPES}}}{tag}"), f"{{{_TYPES}}}Text").text = text

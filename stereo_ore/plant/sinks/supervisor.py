@@ -13,7 +13,7 @@ from typing import Any
 
 from stereo_ore.errors import OutputError
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 STARTING_S = 60.0
 RESTART_S = 1.0
@@ -95,11 +95,11 @@ class Supervisor:
                 asyncio.run(self._serve())
             except Exception as fault:
                 self._fault = _first(fault)
-                log.debug(self._name, exc_info=True)
+                _log.debug(self._name, exc_info=True)
                 if not self._ready.is_set():
                     break
                 self.restarts += 1
-                log.error("%s failed, starting again: %s", self._name, self._fault)
+                _log.error("%s failed, starting again: %s", self._name, self._fault)
                 time.sleep(RESTART_S)
         self._ready.set()
 

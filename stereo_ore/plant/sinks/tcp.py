@@ -18,15 +18,15 @@ from stereo_ore.errors import OutputError
 from stereo_ore.plant.sinks.base import Outbox, SinkState
 from stereo_ore.plant.sinks.message import Message
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
-HEARTBEAT_S = 1.0
+TCP_HEARTBEAT_S = 1.0
 SEND_TIMEOUT_S = 5.0
 MAX_CONSUMERS = 16
 HANGING_S = 2.5
 """A consumer that has taken nothing for this time, in which two heartbeats were due, gives its
 place to one waiting."""
-CLOSING_S = 1.0
+_CLOSING_S = 1.0
 """Time a consumer has to take the last messages."""
 
 
@@ -70,11 +70,11 @@ class TcpSink:
         try:
             self._server.shutdown(socket.SHUT_RDWR)
         except OSError:
-            log.debug("the listening socket can't be shut down on this system")
+            _log.debug("the listening socket can't be shut down on this system")
         self._server.close()
         with self._lock:
             consumers = list(self._consumers)
-        end = time.monotonic() + CLOSING_S
+        end = time.monotonic() + _CLOSING_S
         for consumer in consumers:
             consumer.outbox.close()
         for consumer in consumers:
@@ -119,7 +119,7 @@ class TcpSink:
         longest = min(self._consumers, key=lambda consumer: consumer.taken)
         if time.monotonic() - longest.taken < HANGING_S:
             return False
-        log.warning("TCP consumer %s takes nothing: cut off for another", longest.address)
+        _log.warning("TCP consumer %s takes nothing: cut off for another", longest.address)
         self._forget(longest)
         longest.cut()
         return True
@@ -154,7 +154,7 @@ class _Consumer:
         self._connection.settimeout(SEND_TIMEOUT_S)
         try:
             while not self.outbox.finished:
-                message = self.outbox.get(HEARTBEAT_S)
+                message = self.outbox.get(TCP_HEARTBEAT_S)
                 if message is not None:
                     self._connection.sendall(message.line().encode() + b"\n")
                     self.sent += 1
@@ -162,7 +162,7 @@ class _Consumer:
                     self._connection.sendall(_heartbeat())
                 self.taken = time.monotonic()
         except OSError as fault:
-            log.info("TCP consumer %s is gone: %s", self.address, fault)
+            _log.info("TCP consumer %s is gone: %s", self.address, fault)
         finally:
             self._connection.close()
             self._leave(self)

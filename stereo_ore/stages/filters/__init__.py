@@ -23,10 +23,10 @@ from stereo_ore.config.filters import (
     StatisticalParams,
 )
 from stereo_ore.config.models import StageConfig
-from stereo_ore.config.validation import nearest, validate
+from stereo_ore.config.validation import nearest_word, validate
 from stereo_ore.errors import ConfigError
 from stereo_ore.stages.filters.adaptive import adaptive
-from stereo_ore.stages.filters.baselines import lof, none, radius, statistical
+from stereo_ore.stages.filters.baselines import keep_all, lof, radius, statistical
 from stereo_ore.stages.filters.closed_form import closed_form
 from stereo_ore.stages.filters.like import PROGRAMS, apply_like
 from stereo_ore.stages.filters.paper import paper
@@ -54,7 +54,7 @@ METHODS: Mapping[str, Method] = {
     "statistical": Method(StatisticalParams, statistical),
     "radius": Method(RadiusParams, radius),
     "lof": Method(LofParams, lof),
-    "none": Method(NoneParams, none),
+    "none": Method(NoneParams, keep_all),
 }
 
 
@@ -67,7 +67,7 @@ def parameters(config: FilterConfig) -> StageConfig:
         For an unknown method or parameter (naming the nearest valid one) or a value out of range.
     """
     if config.method not in METHODS:
-        hint = nearest(config.method, METHODS)
+        hint = nearest_word(config.method, METHODS)
         raise ConfigError(f"no filter is called {config.method!r}{hint}", key="filter.method")
     method = METHODS[config.method]
     return validate(method.params, {**method.preset, **config.params}, "filter.params", ConfigError)

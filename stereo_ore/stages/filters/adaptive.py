@@ -8,8 +8,8 @@ from stereo_ore.config.filters import AdaptiveParams
 from stereo_ore.errors import ConfigError
 from stereo_ore.network import Network
 from stereo_ore.stages.filters import stereo
-from stereo_ore.stages.filters.evidence import Evidence, gather
-from stereo_ore.stages.filters.scorer import Scorer, load, read
+from stereo_ore.stages.filters.evidence import Evidence, bare_evidence
+from stereo_ore.stages.filters.scorer import Scorer, load_scorer, read
 from stereo_ore.threads import map_rows
 from stereo_ore.types import F32, FilterResult, VoxelCloud
 
@@ -22,18 +22,18 @@ def adaptive(voxels: VoxelCloud, params: AdaptiveParams) -> FilterResult:
     Each pass weighs neighbours by how likely the pass before found each to be surface: what it took
     for noise no longer bends the planes fitted to them.
     """
-    name, evidence = look(voxels, params.k)
-    scorer = load(name) if params.scorer is None else read(params.scorer)
+    name, evidence = evidence_of(voxels, params.k)
+    scorer = load_scorer(name) if params.scorer is None else read(params.scorer)
     noise = run_passes(evidence, scorer)
     threshold = scorer.decide(noise) if params.threshold is None else params.threshold
     return FilterResult(noise <= threshold, noise, {"scorer": name, "threshold": threshold})
 
 
-def look(voxels: VoxelCloud, k: int) -> tuple[str, Evidence]:
+def evidence_of(voxels: VoxelCloud, k: int) -> tuple[str, Evidence]:
     """The kind of a cloud, which is its scorer's name, and its evidence from k neighbours."""
     if stereo.has_cues(voxels):
-        return "stereo", stereo.gather(voxels, k)
-    return "geometry", gather(voxels.xyz, k)
+        return "stereo", stereo.stereo_evidence(voxels, k)
+    return "geometry", bare_evidence(voxels.xyz, k)
 
 
 def run_passes(evidence: Evidence, scorer: Scorer) -> F32:
@@ -45,11 +45,11 @@ def run_passes(evidence: Evidence, scorer: Scorer) -> F32:
         )
     noise = evidence.prior
     for number, network in enumerate(scorer.passes):
-        noise = judge(evidence, noise, network, number)
+        noise = judge_pass(evidence, noise, network, number)
     return noise
 
 
-def judge(evidence: Evidence, noise: F32, network: Network, number: int) -> F32:
+def judge_pass(evidence: Evidence, noise: F32, network: Network, number: int) -> F32:
     """Noise probabilities (M,) after pass `number`; what was decided before stays."""
     asked = evidence.ask(noise, number)
     after = noise.copy()

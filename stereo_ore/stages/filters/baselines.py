@@ -9,7 +9,7 @@ from stereo_ore.stages.filters.neighbours import search, spacing
 from stereo_ore.types import F32, FilterResult, VoxelCloud
 
 
-def none(voxels: VoxelCloud, params: NoneParams) -> FilterResult:
+def keep_all(voxels: VoxelCloud, params: NoneParams) -> FilterResult:
     """Keep everything; the score is zero."""
     return FilterResult(np.ones(len(voxels), bool), np.zeros(len(voxels), np.float32))
 

@@ -10,13 +10,13 @@ import numpy as np
 
 from stereo_ore.config.filters import ClosedFormParams
 from stereo_ore.stages.filters import stereo
-from stereo_ore.stages.filters.evidence import BareEvidence, gather
+from stereo_ore.stages.filters.evidence import BareEvidence, bare_evidence
 from stereo_ore.stages.filters.neighbours import by_neighbour
-from stereo_ore.stages.filters.surface import Voters, fit_planes
+from stereo_ore.stages.filters.surface import Voters, fit_weighted_planes
 from stereo_ore.threads import map_rows
 from stereo_ore.types import F32, FilterResult, VoxelCloud
 
-DOUBTS: Mapping[str, float] = {
+_DOUBTS: Mapping[str, float] = {
     "spread_px": 0.3,
     "lr_diff_px": 0.5,
     "scatter_14_px": 0.6,
@@ -42,17 +42,17 @@ def closed_form(voxels: VoxelCloud, params: ClosedFormParams) -> FilterResult:
 
     repeated for a number of rounds. s = max(scale, roughness · σ), with σ = 8 times the 10 %
     quantile of |r| where w > ½, which is the standard deviation of a normal. c = Π 1 / (1 +
-    (q/q₀)²) over the `DOUBTS` q of a stereo cloud, 1 without.
+    (q/q₀)²) over the `_DOUBTS` q of a stereo cloud, 1 without.
     """
     has_cues = stereo.has_cues(voxels)
-    evidence = gather(stereo.image_space(voxels) if has_cues else voxels.xyz, params.k)
+    evidence = bare_evidence(stereo.image_space(voxels) if has_cues else voxels.xyz, params.k)
     trust = _trust(voxels) if has_cues else np.float32(1)
     points, index = evidence.points, evidence.index
     crowding = np.maximum(evidence.density[:, 1] - evidence.here - np.float32(SPARSE), 0)
     dense = np.minimum(1, np.exp(-3 * crowding)).astype(np.float32)
     weight = dense
     for _ in range(params.rounds):
-        planes = fit_planes(points, index, weight, points)
+        planes = fit_weighted_planes(points, index, weight, points)
         scale = np.float32(_scale(np.abs(planes.height), weight, params))
         agreed = _agreed(Voters.of(points, weight, planes), evidence, float(scale))
         support = np.square(agreed / (1 + np.square(planes.height / scale)))
@@ -81,6 +81,6 @@ def _agreed(voters: Voters, evidence: BareEvidence, scale: float) -> F32:
 def _trust(voxels: VoxelCloud) -> F32:
     doubts = (
         np.nan_to_num(voxels.cues[name], nan=0.0) / np.float32(limit)
-        for name, limit in DOUBTS.items()
+        for name, limit in _DOUBTS.items()
     )
     return np.asarray(np.prod([1 / (1 + doubt * doubt) for doubt in doubts], axis=0), np.float32)

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stereo_ore.stages.filters.neighbours import Index, by_neighbour, columns, search
-from stereo_ore.stages.filters.surface import LEAST, SCALES, Voters, fit_planes, log_odds
+from stereo_ore.stages.filters.surface import LEAST, SCALES, Voters, fit_weighted_planes, log_odds
 from stereo_ore.threads import map_rows, pool
 from stereo_ore.types import F32
 
@@ -57,7 +57,7 @@ WHOLE_FEATURES = (
 )  # fmt: skip
 """Quantiles over the cloud; the same for all its points."""
 
-SURE = 0.01
+_SURE = 0.01
 """A point below this probability of either verdict is not judged again."""
 
 
@@ -117,14 +117,16 @@ class BareEvidence:
 
         The same is then held against the surroundings, and against the cloud as a whole: a rough
         surface and a smooth one with noise differ in that, where single points of both look alike.
-        After the first pass only those are judged again that it was not `SURE` of.
+        After the first pass only those are judged again that it was not `_SURE` of.
         """
         weight, odds = 1 - noise, log_odds(noise)
         every = number == 0
         rows = (
-            np.arange(len(noise)) if every else np.flatnonzero((noise > SURE) & (noise < 1 - SURE))
+            np.arange(len(noise))
+            if every
+            else np.flatnonzero((noise > _SURE) & (noise < 1 - _SURE))
         )
-        planes = fit_planes(self.points, self.index, weight, self.points)
+        planes = fit_weighted_planes(self.points, self.index, weight, self.points)
         scales = vote_scales(np.exp(planes.shape[:, 0]), weight)
         voters = Voters.of(self.points, weight, planes)
         rough = mean_of(weight * planes.shape[:, 0], self.index) / (
@@ -188,7 +190,7 @@ def vote_scales(residual: F32, weight: F32) -> tuple[float, float]:
     return SCALES[0] * widen, SCALES[1] * widen
 
 
-def gather(xyz: F32, k: int) -> BareEvidence:
+def bare_evidence(xyz: F32, k: int) -> BareEvidence:
     """Search the k neighbours of points (M, 3), and measure densities.
 
     With d_i(K) = 1/ρ = mean distance to the K nearest (equation 2) in units of s, the 20 % quantile

@@ -61,7 +61,7 @@ class Scorer:
 
 
 @cache
-def load(name: str) -> Scorer:
+def load_scorer(name: str) -> Scorer:
     """A scorer that ships with the package: ``geometry`` or ``stereo``."""
     text = (files("stereo_ore.stages.filters") / "scorers" / f"{name}.json").read_text(
         encoding="utf-8"

@@ -17,7 +17,7 @@ from stereo_ore.stages.filters.evidence import (
     mean_of,
 )
 from stereo_ore.stages.filters.neighbours import columns, nearest
-from stereo_ore.stages.filters.surface import LEAST, fit_planes, log_odds
+from stereo_ore.stages.filters.surface import LEAST, fit_weighted_planes, log_odds
 from stereo_ore.threads import map_rows
 from stereo_ore.types import CONTEXT, CUES, F32, VoxelCloud
 
@@ -34,7 +34,7 @@ DISPARITY_STRETCH = 0.3
 """Image space [px]: one standard deviation of depth noise counts as this many pixels across."""
 
 MOST = 50.0
-NOTHING = np.zeros(0, np.float32)
+_NOTHING = np.zeros(0, np.float32)
 
 SURE = 0.12
 """Below this probability of either verdict a first pass by cues alone is believed."""
@@ -73,26 +73,26 @@ class StereoEvidence:
         (equations 1 and 2).
 
         The logarithms of the mean distances to the nearest 3, 8 and k; the plane through the
-        neighbours, weighted by how likely each is to be surface (`surface.fit_planes`); the odds of
-        the pass before, and of the neighbours.
+        neighbours, weighted by how likely each is to be surface (`surface.fit_weighted_planes`);
+        the odds of the pass before, and of the neighbours.
         """
         everything = np.arange(len(noise))
         if number == 0 or not len(noise):
-            return Questions(everything, NOTHING, self.cues.__getitem__)
+            return Questions(everything, _NOTHING, self.cues.__getitem__)
         rows = np.flatnonzero((noise > SURE) & (noise < 1 - SURE))
         features = self._features(noise, rows) if len(rows) else self.cues[rows]
-        return Questions(rows, NOTHING, features.__getitem__)
+        return Questions(rows, _NOTHING, features.__getitem__)
 
     def _features(self, noise: F32, rows: Rows) -> F32:
         at = self.points[rows]
         index, distance = nearest(self.points, at, min(self.k + 1, len(self.points)))
         index, distance = index[:, 1:], distance[:, 1:]
         density = np.log(mean_distances(distance) + np.float32(LEAST))
-        planes, odds = fit_planes(self.points, index, 1 - noise, at), log_odds(noise)
+        planes, odds = fit_weighted_planes(self.points, index, 1 - noise, at), log_odds(noise)
         return columns(self.cues[rows], density, planes.shape, odds[rows], mean_of(odds, index))
 
 
-def gather(voxels: VoxelCloud, k: int) -> StereoEvidence:
+def stereo_evidence(voxels: VoxelCloud, k: int) -> StereoEvidence:
     """Evidence of a cloud that `has_cues`."""
     voxel_px = float(np.median(voxels.size_m / voxels.pixel_m))
     space = image_space(voxels)

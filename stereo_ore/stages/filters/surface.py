@@ -42,7 +42,7 @@ class Planes:
         return Planes(self.normal[rows], self.height[rows], self.shape[rows])
 
 
-def fit_planes(x: F32, index: Index, weight: F32, at: F32) -> Planes:
+def fit_weighted_planes(x: F32, index: Index, weight: F32, at: F32) -> Planes:
     """Total least-squares plane through each point's weighted neighbours.
 
     With offsets q_j = x_j − x_i and weights w_j: centre c = Σ w q / Σ w, covariance C = Σ w q qᵀ /

@@ -28,13 +28,21 @@ from stereo_ore.types import (
     Surface,
 )
 
-__all__ = ["Foreign", "clear_of", "cleared", "doubts", "find", "places", "without"]
+__all__ = [
+    "Foreign",
+    "clear_of",
+    "cleared",
+    "find_foreign",
+    "foreign_doubts",
+    "places",
+    "without_foreign",
+]
 
 MOST_OF = 0.5
 """Share of a lump on a body from which on it is no lump but a part of the body."""
 OUTLINE_PX = 1.5
 """Deviation of a reported outline from the pixels."""
-POINTS = 4000
+_POINTS = 4000
 """Points of bodies that strikes keep clear of."""
 
 
@@ -67,7 +75,7 @@ def places(surface: Surface, keep_out: Sequence[KeepOut]) -> Foreign:
     return Foreign(mask, _points(surface, mask), bodies, tuple(keep_out))
 
 
-def find(
+def find_foreign(
     surface: Surface, screen: Grizzly, opening_m: float, known: Foreign, config: ForeignConfig
 ) -> Foreign:
     """`known`, and what stands or hangs over the screen by itself.
@@ -107,7 +115,7 @@ def find(
     )
 
 
-def without(surface: Surface, foreign: Foreign) -> Surface:
+def without_foreign(surface: Surface, foreign: Foreign) -> Surface:
     """The surface as if the bodies had not been measured."""
     if not foreign.mask.any():
         return surface
@@ -144,7 +152,7 @@ def clear_of(
     return tuple(_clear(plan, foreign, tree, config.clearance * opening_m) for plan in plans)
 
 
-def doubts(foreign: Foreign) -> Iterator[Reason]:
+def foreign_doubts(foreign: Foreign) -> Iterator[Reason]:
     """FOREIGN_BODY for each body that the site does not name."""
     for body in foreign.bodies:
         if body.source == "image":
@@ -173,9 +181,9 @@ def _clear(
 
 
 def _points(surface: Surface, mask: Mask) -> F64:
-    """Measured points (N, 3) [m] of some pixels, `POINTS` at most."""
+    """Measured points (N, 3) [m] of some pixels, `_POINTS` at most."""
     seen = surface.xyz[mask & np.isfinite(surface.xyz[..., 2])]
-    return np.asarray(seen[:: 1 + len(seen) // POINTS], np.float64)
+    return np.asarray(seen[:: 1 + len(seen) // _POINTS], np.float64)
 
 
 def _body(name: str, source: Literal["site", "image"], mask: Mask, surface: Surface) -> ForeignBody:

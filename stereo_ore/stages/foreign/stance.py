@@ -17,24 +17,24 @@ import numpy as np
 from stereo_ore.config import ForeignConfig
 from stereo_ore.types import F32, F64, I32, Grizzly, Mask, Surface
 
-PIXELS = 60_000
+_PIXELS = 60_000
 """Pixels looked at, about."""
-LEVELS = (0.75, 1.0, 1.4, 1.9, 2.5, 3.3, 4.3, 5.6)
+_LEVELS = (0.75, 1.0, 1.4, 1.9, 2.5, 3.3, 4.3, 5.6)
 """Heights over the screen [openings] at which it is cut for parts that stand alone."""
 LONG, LONG_WIDTH = 2.5, 1.5
 """From this ratio of length to width on a part is long, and so many widths are its size."""
-FEWEST, FEWEST_AROUND = 20, 15
+_FEWEST, FEWEST_AROUND = 20, 15
 """Pixels that a part, and what is known around it, must have."""
 LEAST_STANCE, LEAST_SIZE = 2.0, 0.12
 """Height over what is around in openings, times that in the part's own widths, and size [openings]:
 a clump of wrong matches is small, too, and low."""
-AROUND = 0.7
+_AROUND = 0.7
 """Width of the ring around a part, in openings."""
 HIGH_QUANTILE, LOW_QUANTILE = 75, 5
 """Percentiles of heights: what lies around a part, and its lowest point."""
 BRIDGED = 5
 """Pixels without a depth that part no body."""
-THICKER = 1.4
+_THICKER = 1.4
 """Radius of the rod about a part's axis that belongs to it, over what its own points have."""
 
 
@@ -65,7 +65,7 @@ def standing(surface: Surface, screen: Grizzly, opening_m: float, config: Foreig
     """
     grid = _grid(surface, screen)
     found = np.zeros(grid.seen.shape, np.bool_)
-    for level in LEVELS:
+    for level in _LEVELS:
         for part in _parts(grid, level * opening_m):
             if not found[part].all() and _stands_alone(grid, part, opening_m, config):
                 found |= _whole(grid, part)
@@ -74,7 +74,7 @@ def standing(surface: Surface, screen: Grizzly, opening_m: float, config: Foreig
 
 
 def _grid(surface: Surface, screen: Grizzly) -> _Grid:
-    step = max(1, round(float(np.sqrt(surface.sigma_z.size / PIXELS))))
+    step = max(1, round(float(np.sqrt(surface.sigma_z.size / _PIXELS))))
     xyz = surface.xyz[::step, ::step]
     height = screen.plane.height(xyz).astype(np.float32)
     pixel_m = xyz[..., 2] * np.float32(step / surface.rig.fx)
@@ -88,13 +88,13 @@ def _parts(grid: _Grid, level_m: float) -> Iterator[Mask]:
         above.astype(np.uint8), connectivity=4
     )
     for number in range(1, count):
-        if stats[number, cv2.CC_STAT_AREA] >= FEWEST:
+        if stats[number, cv2.CC_STAT_AREA] >= _FEWEST:
             yield labels == number
 
 
 def _stands_alone(grid: _Grid, part: Mask, opening_m: float, config: ForeignConfig) -> bool:
     """Whether a part is higher over what is around it than it is wide."""
-    width_px = max(3, round(AROUND * opening_m / float(np.median(grid.pixel_m[part]))))
+    width_px = max(3, round(_AROUND * opening_m / float(np.median(grid.pixel_m[part]))))
     kernel = np.ones((2 * width_px + 1, 2 * width_px + 1), np.uint8)
     near = (cv2.dilate(part.astype(np.uint8), kernel) > 0) & ~part & grid.seen
     if near.sum() < FEWEST_AROUND:
@@ -136,7 +136,7 @@ def _whole(grid: _Grid, part: Mask) -> Mask:
     axis, along = _axis(points)
     middle = points.mean(0)
     away = points - middle - along[:, None] * axis
-    radius = THICKER * float(np.percentile(np.linalg.norm(away, axis=1), 90))
+    radius = _THICKER * float(np.percentile(np.linalg.norm(away, axis=1), 90))
     rest = grid.xyz - middle.astype(np.float32)
     reach = np.einsum("hwi,i->hw", rest, axis.astype(np.float32))
     with np.errstate(invalid="ignore"):

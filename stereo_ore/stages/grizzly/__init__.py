@@ -14,7 +14,7 @@ from stereo_ore.errors import FrameError
 from stereo_ore.stages.grizzly.bars import BarFit, fit_bars
 from stereo_ore.stages.grizzly.edges import sharpened
 from stereo_ore.stages.grizzly.extent import extent, over
-from stereo_ore.stages.grizzly.plane import candidate_planes, refine, residual
+from stereo_ore.stages.grizzly.plane import candidate_planes, refine_plane, residual
 from stereo_ore.stages.grizzly.registration import corrected, plane_of, register
 from stereo_ore.stages.grizzly.sample import Sample, draw_sample, tolerances
 from stereo_ore.types import Grizzly, Plane, Site, Surface
@@ -71,10 +71,10 @@ def _measured(sample: Sample, site: Site, plane: Plane) -> Grizzly:
         return _grizzly(plane, "site", None, site, {"points": len(sample)})
     # Shiny bars are measured a little off; they are found in the plane that the cloud has near the
     # site's.
-    near = refine(sample, plane, BarFit(None, 0.0))
+    near = refine_plane(sample, plane, BarFit(None, 0.0))
     fit = fit_bars(sample, near, site.opening_m, site.bar_width_m, sharp=True)
     rms, inliers = residual(sample, plane, fit)
-    other = refine(sample, near, fit)
+    other = refine_plane(sample, near, fit)
     tilt = float(np.arccos(np.clip(other.normal @ plane.normal, -1, 1)))
     middle = np.median(sample.xyz, axis=0)
     gap = float(other.height(middle) - plane.height(middle))
@@ -92,7 +92,7 @@ def _found(sample: Sample, site: Site, config: GrizzlyConfig) -> Grizzly:
     """The candidate plane that is widest and most clearly cut into bars."""
     best: tuple[float, Plane, BarFit] | None = None
     for candidate, area in candidate_planes(sample, config):
-        plane = refine(
+        plane = refine_plane(
             sample, candidate, fit_bars(sample, candidate, site.opening_m, site.bar_width_m)
         )
         fit = fit_bars(sample, plane, site.opening_m, site.bar_width_m, sharp=True)
@@ -109,7 +109,7 @@ def _found(sample: Sample, site: Site, config: GrizzlyConfig) -> Grizzly:
             ),
         )
     for _ in range(config.refinements):
-        plane = refine(sample, best[1], best[2])
+        plane = refine_plane(sample, best[1], best[2])
         best = best[0], plane, fit_bars(sample, plane, site.opening_m, site.bar_width_m, sharp=True)
     _, plane, fit = best
     rms, inliers = residual(sample, plane, fit)

@@ -14,15 +14,15 @@ from stereo_ore.types import F64, Bars, Mask, Plane
 if TYPE_CHECKING:
     from stereo_ore.stages.grizzly.sample import Sample
 
-COARSE, FINE = 60, 13
+_COARSE, FINE = 60, 13
 """Directions tried over half a turn, and then around the best of them."""
-BINS, FINE_BINS = 400, 4000
+_BINS, FINE_BINS = 400, 4000
 """Bins across the screen, and PHASES across one pitch."""
 PHASES = 60
 SEARCHED = 3000
 """Points that directions are tried on."""
 MIN_BARS, MAX_BARS = 3, 40
-AROUND = 0.1
+_AROUND = 0.1
 """Margin kept around what one sees through, of its extent."""
 LEAST_SEEN = 8
 """Points that a bar or a gap must have to be judged."""
@@ -133,7 +133,7 @@ def _around_open(q: F64, signal: F64) -> tuple[F64, F64]:
     if not len(through):
         return q, signal
     low, high = np.percentile(through, (1, 99), axis=0)
-    margin = AROUND * (high - low)
+    margin = _AROUND * (high - low)
     near = ((q > low - margin) & (q < high + margin)).all(1)
     return q[near], signal[near]
 
@@ -166,14 +166,14 @@ def _direction(q: F64, signal: F64) -> float:
         position = q @ np.array([-np.sin(angle), np.cos(angle)])
         low, high = position.min(), position.max()
         return _explained(
-            ((position - low) / max(high - low, 1e-9) * (BINS // 3)).astype(np.intp), signal
+            ((position - low) / max(high - low, 1e-9) * (_BINS // 3)).astype(np.intp), signal
         )
 
     best, span = 0.0, np.pi / 2
-    for count in (COARSE, FINE, FINE):
-        angles = best + np.linspace(-span, span, count, endpoint=count != COARSE)
+    for count in (_COARSE, FINE, FINE):
+        angles = best + np.linspace(-span, span, count, endpoint=count != _COARSE)
         best = float(angles[int(np.argmax([contrast(a) for a in angles]))])
-        span = np.pi / COARSE if count == COARSE else span / 8
+        span = np.pi / _COARSE if count == _COARSE else span / 8
     return best
 
 
@@ -207,7 +207,7 @@ def _balanced(position: F64, signal: F64, low: float, extent: float) -> tuple[F6
     inside = (position >= low) & (position < low + extent)
     position, signal = position[inside], signal[inside]
     share = (position - low) / max(extent, 1e-9)
-    even = signal / np.bincount((share * BINS).astype(np.intp))[(share * BINS).astype(np.intp)]
+    even = signal / np.bincount((share * _BINS).astype(np.intp))[(share * _BINS).astype(np.intp)]
     solid = even > 0
     even = np.where(
         solid, even / max(even[solid].sum(), 1e-9), -even / min(even[~solid].sum(), -1e-9)

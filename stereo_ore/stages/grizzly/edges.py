@@ -13,10 +13,10 @@ from scipy import ndimage
 
 from stereo_ore.types import F32, F64, Bars, Grizzly, Mask, Surface
 
-BINS, SMOOTHING = 240, 2.0
+_BINS, SMOOTHING = 240, 2.0
 """Bins of a pitch that the image is folded into, and the standard deviation [bins] that the fold is
 smoothed with."""
-LEAST_OPEN = 100
+_LEAST_OPEN = 100
 """Pixels that show what is beneath the screen, for a place to be known where bars are."""
 NARROWEST, WIDEST, SHIFT = 0.4, 1.15, 0.3
 """Widths tried and shifts to either side, in widths that depth says: smeared bars are wider, never
@@ -49,7 +49,7 @@ def sharpened(surface: Surface, grizzly: Grizzly, tolerance: F32) -> Bars | None
     across, along = _in_plane(surface, grizzly, bars)
     height = grizzly.plane.height(surface.xyz)
     beneath = height < -tolerance
-    if beneath.sum() < LEAST_OPEN:
+    if beneath.sum() < _LEAST_OPEN:
         return None
     within = _between(across, beneath) & _between(along, beneath) & ~(height > tolerance)
     fold = _folded(_slope(surface, across)[within], (across[within] - bars.phase_m) / bars.pitch_m)
@@ -87,10 +87,10 @@ def _slope(surface: Surface, across: F32) -> F32:
 
 def _folded(slope: F32, position: F32) -> F64:
     """Mean slope (BINS,) at each place of a pitch; positions in pitches."""
-    place = np.minimum((position % 1 * BINS).astype(np.intp), BINS - 1)
-    count = np.maximum(np.bincount(place, minlength=BINS), 1)
+    place = np.minimum((position % 1 * _BINS).astype(np.intp), _BINS - 1)
+    count = np.maximum(np.bincount(place, minlength=_BINS), 1)
     return np.asarray(
-        ndimage.gaussian_filter1d(np.bincount(place, slope, BINS) / count, SMOOTHING, mode="wrap")
+        ndimage.gaussian_filter1d(np.bincount(place, slope, _BINS) / count, SMOOTHING, mode="wrap")
     )
 
 
@@ -98,14 +98,14 @@ def _strongest_pair(fold: F64, about: float) -> tuple[float, float, float]:
     """Distance and middle [pitches], and contrast, of the strongest two opposite edges near a width
     of `about`.
     """
-    steps = about * BINS
+    steps = about * _BINS
     lengths: npt.NDArray[np.intp] = np.arange(round(NARROWEST * steps), round(WIDEST * steps) + 1)[
         :, None
     ]
     middles = np.arange(-round(SHIFT * steps), round(SHIFT * steps) + 1)[None, :]
     start = middles - lengths // 2
-    contrast = np.abs(fold[start % BINS] - fold[(start + lengths) % BINS])
+    contrast = np.abs(fold[start % _BINS] - fold[(start + lengths) % _BINS])
     row, column = np.unravel_index(int(contrast.argmax()), contrast.shape)
     length = int(lengths[row, 0])
-    middle = (int(start[row, column]) + 0.5 * length + 0.5) / BINS
-    return length / BINS, middle, float(contrast[row, column])
+    middle = (int(start[row, column]) + 0.5 * length + 0.5) / _BINS
+    return length / _BINS, middle, float(contrast[row, column])

@@ -12,14 +12,14 @@ from stereo_ore.stages.grizzly.bars import rays_in_plane
 from stereo_ore.stages.grizzly.sample import draw_sample
 from stereo_ore.types import F64, Grizzly, Mask, Surface
 
-SAMPLE = 60_000
-LIMITS = (0.6, 1.2)
+_SAMPLE = 60_000
+_LIMITS = (0.6, 1.2)
 """Within the first of these of a plane [inlier distances] it is solid, beneath the second open."""
 CELL = 0.5
 """Side of the cells that are judged, in pitches along the bars; across it is a pitch."""
-FEWEST = 4
+_FEWEST = 4
 """Points on a bar and in a gap that tell of a cell."""
-SOLID, OPEN = 0.3, -0.1
+SOLID, _OPEN = 0.3, -0.1
 """Mean of +1 for solid and −1 for open on the bar of a cell, and in its gap."""
 
 
@@ -42,8 +42,8 @@ def extent(surface: Surface, screen: Grizzly, config: GrizzlyConfig) -> Extent |
     bars = screen.bars
     if bars is None:
         return None
-    sample = draw_sample(surface, config, SAMPLE)
-    q, signal, axes = rays_in_plane(sample, screen.plane, LIMITS)
+    sample = draw_sample(surface, config, _SAMPLE)
+    q, signal, axes = rays_in_plane(sample, screen.plane, _LIMITS)
     across = q @ (axes @ bars.across) - bars.phase_m
     along = q @ (axes @ bars.direction)
     number = np.round(across / bars.pitch_m)
@@ -90,8 +90,8 @@ def _cut_into_bars(cell: np.ndarray, on_bar: Mask, signal: F64) -> Mask:
     for part in (on_bar, ~on_bar):
         count = np.bincount(flat[part], minlength=shape[0] * shape[1])
         total = np.bincount(flat[part], signal[part], shape[0] * shape[1])
-        means.append(np.where(count >= FEWEST, total / np.maximum(count, 1), 0.0).reshape(shape))
-    return np.asarray((means[0] > SOLID) & (means[1] < OPEN))
+        means.append(np.where(count >= _FEWEST, total / np.maximum(count, 1), 0.0).reshape(shape))
+    return np.asarray((means[0] > SOLID) & (means[1] < _OPEN))
 
 
 def _largest(shown: Mask) -> Mask:

@@ -105,7 +105,7 @@ def _least_squares(sample: Sample, inlier: Mask, fallback: Plane) -> Plane:
     return Plane(normal, float(normal @ centre))
 
 
-def refine(sample: Sample, plane: Plane, fit: BarFit) -> Plane:
+def refine_plane(sample: Sample, plane: Plane, fit: BarFit) -> Plane:
     """The plane through the points on the bars alone: not the frame, nor ore that happens to lie at
     their height.
     """

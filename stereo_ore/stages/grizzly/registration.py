@@ -18,17 +18,17 @@ from stereo_ore.stages.grizzly.bars import BarFit, fit_bars
 from stereo_ore.stages.grizzly.sample import Sample, tolerances
 from stereo_ore.types import F32, F64, Disparity, Mask, Plane, Registration, Rig, Site
 
-SAMPLE = 10_000
+_SAMPLE = 10_000
 """Pixels looked at."""
 WINDOW = 0.5
 """Bars are looked for this far above and below their place [openings]; farther off the check of the
 screen tells."""
-BIN_PX, SMOOTH_BINS = 0.1, 7
+_BIN_PX, SMOOTH_BINS = 0.1, 7
 TUKEY_PX = (1.5, 1.0, 0.7, 0.5, 0.5)
 """Residuals [px] beyond which a pixel has no weight, of successive fits (Beaton & Tukey 1974)."""
-INNER = 0.7
+_INNER = 0.7
 """Share of a bar's width that is looked at: its edges are smeared."""
-FEWEST, LEAST_WEIGHT = 300, 0.2
+_FEWEST, LEAST_WEIGHT = 300, 0.2
 """Pixels on bars, with at least this weight in the last fit, that are needed."""
 LEAST_CONTRAST = 0.15
 """Contrast of the bars in what is solid and open, below which it is not bars that were measured."""
@@ -59,19 +59,19 @@ def register(
     """
     pixels = _draw(disparity, rig, plane, site)
     near = pixels.where(np.abs(plane.height(pixels.xyz)) < WINDOW * _opening(site))
-    if len(near.excess) < FEWEST:
+    if len(near.excess) < _FEWEST:
         return None
     field, _ = _tukey(near, np.array([_mode(near.excess), 0.0, 0.0]))
     fit = _bars(pixels, rig, plane_of(rig, plane, field), site, config)
     if fit.bars is None or fit.contrast < LEAST_CONTRAST:
         return None
-    inner = replace(fit, bars=replace(fit.bars, width_m=INNER * fit.bars.width_m))
+    inner = replace(fit, bars=replace(fit.bars, width_m=_INNER * fit.bars.width_m))
     on_bars = near.where(inner.covers(near.on(plane_of(rig, plane, field))))
-    if len(on_bars.excess) < FEWEST:
+    if len(on_bars.excess) < _FEWEST:
         return None
     field, weight = _tukey(on_bars, field)
     seen = on_bars.where(weight > LEAST_WEIGHT)
-    return _described(seen, rig, plane, field) if len(seen.excess) >= FEWEST else None
+    return _described(seen, rig, plane, field) if len(seen.excess) >= _FEWEST else None
 
 
 def corrected(disparity: Disparity, registration: Registration | None, rig: Rig) -> Disparity:
@@ -114,7 +114,7 @@ class _Pixels:
 def _draw(disparity: Disparity, rig: Rig, plane: Plane, site: Site) -> _Pixels:
     """Pixels of a regular grid whose rays meet the plane in the working volume."""
     region = disparity.region
-    step = max(1, int(np.sqrt((region.x1 - region.x0) * (region.y1 - region.y0) / SAMPLE)))
+    step = max(1, int(np.sqrt((region.x1 - region.x0) * (region.y1 - region.y0) / _SAMPLE)))
     values: F32 = disparity.values[region.slices][::step, ::step]
     v, u = np.nonzero(values + np.float32(rig.doffs_px) > 0)
     total = values[v, u].astype(np.float64) + rig.doffs_px
@@ -130,9 +130,11 @@ def _opening(site: Site) -> float:
 
 
 def _mode(excess: F64) -> float:
-    counts, edges = np.histogram(excess, np.arange(excess.min(), excess.max() + 2 * BIN_PX, BIN_PX))
+    counts, edges = np.histogram(
+        excess, np.arange(excess.min(), excess.max() + 2 * _BIN_PX, _BIN_PX)
+    )
     smooth = np.convolve(counts, np.ones(SMOOTH_BINS), "same")
-    return float(edges[int(smooth.argmax())] + BIN_PX / 2)
+    return float(edges[int(smooth.argmax())] + _BIN_PX / 2)
 
 
 def _tukey(pixels: _Pixels, field: F64) -> tuple[F64, F64]:

@@ -12,7 +12,7 @@ from stereo_ore.types import F32, F64, Surface
 
 Noise = TypeVar("Noise", F32, F64)
 
-SAMPLE = 8_000
+_SAMPLE = 8_000
 """Points looked at: enough to place a plane to a tenth of the depth noise."""
 
 
@@ -30,7 +30,7 @@ class Sample:
         return len(self.xyz)
 
 
-def draw_sample(surface: Surface, config: GrizzlyConfig, count: int = SAMPLE) -> Sample:
+def draw_sample(surface: Surface, config: GrizzlyConfig, count: int = _SAMPLE) -> Sample:
     """Every n-th pixel in both directions, about `count`, with the distance within which it may lie
     on a plane.
 

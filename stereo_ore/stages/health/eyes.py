@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from stereo_ore.config import HealthConfig
-from stereo_ore.stages.health.rows import laid_over, row_shift, smooth, strip
+from stereo_ore.stages.health.rows import laid_over, row_shift, smooth_rows, strip
 from stereo_ore.types import F32, U8, Disparity, Reason, RectifiedPair, Registration
 
 FINE_PX, COARSE_PX = (0.7, 1.4), (2.8, 5.6)
@@ -21,7 +21,7 @@ DETAIL_ROWS = 160
 """Rows in the middle of the region on which detail is looked at."""
 
 
-def doubts(
+def eye_doubts(
     pair: RectifiedPair,
     disparity: Disparity,
     config: HealthConfig,
@@ -121,7 +121,9 @@ def fine_detail(left: U8, right: U8, disparity: Disparity, offset_px: float) -> 
 def _common_energy(
     left: U8, right: U8, disparity: Disparity, offset_px: float, band: tuple[float, float]
 ) -> F32:
-    one, other = (smooth(image, band[0]) - smooth(image, band[1]) for image in (left, right))
+    one, other = (
+        smooth_rows(image, band[0]) - smooth_rows(image, band[1]) for image in (left, right)
+    )
     here = disparity.region.slices
     # A correction of the calibration is in the disparity, but not in the images; what is not
     # matched does not count.

@@ -30,21 +30,21 @@ from stereo_ore.types import (
     StrikePlan,
 )
 
-STEP = 2
+_STEP = 2
 """Every so many-th pixel each way is looked at."""
-REACH_PX, BIN_PX = 14.0, 0.25
-BINS = int(2 * REACH_PX / BIN_PX)
-INNER, GAP, WIDE = 0.7, 1.6, 1.15
+_REACH_PX, _BIN_PX = 14.0, 0.25
+_BINS = int(2 * _REACH_PX / _BIN_PX)
+_INNER, _GAP, _WIDE = 0.7, 1.6, 1.15
 """Bars without their smeared edges, surely no bar, and bars with all of their edges [widths]."""
-BAND, OFF_PX = 7, 0.6
+_BAND, OFF_PX = 7, 0.6
 """Rows that are looked at together, and how far off the plane their bars are elsewhere."""
-SHARE, CLEARER = 0.12, 1.5
+SHARE, _CLEARER = 0.12, 1.5
 """Share of the pixels on the comb that have one disparity, three bins wide; so many times those at
 the plane."""
-THROUGH_PX, OPEN = 1.5, 0.3
+THROUGH_PX, _OPEN = 1.5, 0.3
 """Share of the pixels beside the comb that lie so far beneath it: one sees through bars, not
 through ore."""
-FEWEST = 40
+_FEWEST = 40
 """Pixels on the comb, and beside it, that tell of a band."""
 ON_BARS, IN_ROWS = 0.7, 0.05
 """Shares of a lump's pixels on the comb, and in doubtful rows, from which on it is no target."""
@@ -52,7 +52,7 @@ ON_BARS, IN_ROWS = 0.7, 0.05
 
 @dataclass(frozen=True)
 class Parts:
-    """What is doubtful in the matched rectangle, at every `STEP`-th pixel.
+    """What is doubtful in the matched rectangle, at every `_STEP`-th pixel.
 
     `comb` (h, w) are pixels on bars, `rows` (h,) those whose bars lie elsewhere.
     """
@@ -76,18 +76,18 @@ def judge_parts(disparity: Disparity, rig: Rig, screen: Grizzly) -> Parts | None
     if screen.bars is None or screen.source == "auto":
         return None
     rows, columns = disparity.region.slices
-    x = (np.arange(columns.start, columns.stop, STEP) - rig.cx) / rig.fx
-    y = (np.arange(rows.start, rows.stop, STEP) - rig.cy) / rig.fy
+    x = (np.arange(columns.start, columns.stop, _STEP) - rig.cx) / rig.fx
+    y = (np.arange(rows.start, rows.stop, _STEP) - rig.cy) / rig.fy
     offset, slope = np.float32(screen.plane.offset), _on_rays(screen.plane.normal, x, y)
-    excess = disparity.values[rows, columns][::STEP, ::STEP] + np.float32(rig.doffs_px)
+    excess = disparity.values[rows, columns][::_STEP, ::_STEP] + np.float32(rig.doffs_px)
     excess -= slope * np.float32(rig.fx * rig.baseline_m / screen.plane.offset)
     bars = screen.bars
     turns = (
         _on_rays(bars.across, x, y) * (offset / slope) - np.float32(bars.phase_m)
     ) / np.float32(bars.pitch_m)
     off_centre = np.abs(turns - np.round(turns)) * np.float32(2 * bars.pitch_m / bars.width_m)
-    gap = off_centre > min(GAP, 0.5 * (1 + bars.pitch_m / bars.width_m))
-    return Parts(off_centre < WIDE, _elsewhere(excess, off_centre < INNER, gap))
+    gap = off_centre > min(_GAP, 0.5 * (1 + bars.pitch_m / bars.width_m))
+    return Parts(off_centre < _WIDE, _elsewhere(excess, off_centre < _INNER, gap))
 
 
 def row_doubts(parts: Parts | None, config: HealthConfig) -> Iterator[Reason]:
@@ -119,7 +119,7 @@ def without_doubtful(
     """
     if parts is None:
         return tuple(plans)
-    labels = ore_map.labels[disparity.region.slices][::STEP, ::STEP]
+    labels = ore_map.labels[disparity.region.slices][::_STEP, ::_STEP]
     ore = labels > 0
     counts = [
         np.bincount(labels[part], minlength=len(plans) + 1)[1:]
@@ -161,28 +161,32 @@ def _elsewhere(excess: F32, comb: Mask, gap: Mask) -> Mask:
     through beside it.
     """
     known = np.isfinite(excess)
-    index = np.clip((np.where(known, excess, 0) + REACH_PX) / BIN_PX, 0, BINS - 1).astype(np.int32)
-    on = _banded(_by_row(index, comb & known & (np.abs(excess) < REACH_PX)))
+    index = np.clip((np.where(known, excess, 0) + _REACH_PX) / _BIN_PX, 0, _BINS - 1).astype(
+        np.int32
+    )
+    on = _banded(_by_row(index, comb & known & (np.abs(excess) < _REACH_PX)))
     beside = _banded(_by_row(index, gap & known))
     unseen = _banded((gap & ~known).sum(1).astype(np.float32)[:, None])[:, 0]
     near = cv2.blur(on, (3, 1), borderType=cv2.BORDER_CONSTANT) * 3
     top, most, total = near.argmax(1), near.max(1), on.sum(1)
-    here = near[:, BINS // 2 - 2 : BINS // 2 + 2].max(1)
-    shift = (top + 0.5) * BIN_PX - REACH_PX
-    level = np.clip(top - int(THROUGH_PX / BIN_PX), 0, BINS - 1)
+    here = near[:, _BINS // 2 - 2 : _BINS // 2 + 2].max(1)
+    shift = (top + 0.5) * _BIN_PX - _REACH_PX
+    level = np.clip(top - int(THROUGH_PX / _BIN_PX), 0, _BINS - 1)
     beneath = np.cumsum(beside, 1)
     below = beneath[np.arange(len(top)), level] + unseen
     gaps = beneath[:, -1] + unseen
-    seen = (total >= FEWEST) & (gaps >= FEWEST) & (most > SHARE * total) & (most > CLEARER * here)
-    return np.asarray(seen & (np.abs(shift) > OFF_PX) & (below > OPEN * gaps))
+    seen = (
+        (total >= _FEWEST) & (gaps >= _FEWEST) & (most > SHARE * total) & (most > _CLEARER * here)
+    )
+    return np.asarray(seen & (np.abs(shift) > OFF_PX) & (below > _OPEN * gaps))
 
 
 def _by_row(index: I32, part: Mask) -> F32:
     """Counts (h, bins) of a part's pixels."""
     v, u = np.nonzero(part)
     return (
-        np.bincount(v * BINS + index[v, u], minlength=len(index) * BINS)
-        .reshape(-1, BINS)
+        np.bincount(v * _BINS + index[v, u], minlength=len(index) * _BINS)
+        .reshape(-1, _BINS)
         .astype(np.float32)
     )
 
@@ -190,5 +194,5 @@ def _by_row(index: I32, part: Mask) -> F32:
 def _banded(counts: F32) -> F32:
     """Sums over the band about each row."""
     return np.asarray(
-        cv2.blur(counts, (1, BAND), borderType=cv2.BORDER_CONSTANT) * BAND, np.float32
+        cv2.blur(counts, (1, _BAND), borderType=cv2.BORDER_CONSTANT) * _BAND, np.float32
     )

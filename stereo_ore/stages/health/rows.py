@@ -14,34 +14,34 @@ import numpy as np
 
 from stereo_ore.types import F32, F64, U8, Disparity, Mask, Region
 
-SMOOTHING_PX, STEP_PX, WINDOW_STEPS = 0.6, 8, 2
+SMOOTHING_PX, _STEP_PX, WINDOW_STEPS = 0.6, 8, 2
 """Images are smoothed by this much; a shift is fitted in windows of so many steps each way, one
 each step."""
 SURFACE_PX = 1.0
 """Pixels whose disparity differs by more from the mean around them are of another surface."""
-LEAST_SHARE, LEAST_ENERGY, LEAST_BOTH = 0.5, 1.0, 0.4
+_LEAST_SHARE, LEAST_ENERGY, LEAST_BOTH = 0.5, 1.0, 0.4
 """A window tells of rows where this share of it is one surface, where the vertical gradient that
 the horizontal one does not explain has this mean square [grey levels² a px²], and where gradients
 point this much in both directions: determinant over squared half trace of their matrix, 0 on an
 edge, 1 where none is preferred (Shi & Tomasi 1994)."""
 STRIPS, STRIP_ROWS = 3, 96
 """Some strips of rows tell as much as all."""
-FEWEST = 60
+_FEWEST = 60
 """Windows needed for a fit."""
-ROUNDS, OUTLIER, ALIKE = 8, 2.0, 10
+_ROUNDS, OUTLIER, _ALIKE = 8, 2.0, 10
 """Rounds of reweighting; a residual of so many standard deviations counts a quarter; so many
 windows, which overlap or lie on one edge, err alike."""
 
 STRETCHES, FEWEST_PART = 12, 24
 """Stretches of a strip that are parts of the image, and windows that are needed to judge one."""
 
-FAR_PX = 1.0
+_FAR_PX = 1.0
 """Row differences from which on the matcher is misled, so that patches are looked for in other rows
 as well."""
-PATCHES, PATCH_PX, ROWS_PX, WIDTH_PX = 12, 15, 8, 672
+PATCHES, _PATCH_PX, ROWS_PX, WIDTH_PX = 12, 15, 8, 672
 """So many patches a strip, of this side, are looked for so far up and down, in images of about this
 width."""
-FEWEST_PATCHES, PEAK_PX, CLEARER = 6, 2, 0.7
+FEWEST_PATCHES, PEAK_PX, _CLEARER = 6, 2, 0.7
 """Patches needed for a median. One counts where its unlikeness [1 − correlation] is so much less
 than any farther from its row than this: along a bar all rows look alike."""
 
@@ -90,11 +90,11 @@ def row_shift(left: U8, right: U8, disparity: Disparity, offset_px: float) -> Ro
         The calibration's correction, which is in the disparity but not in the images.
     """
     strips = [_strip_windows(left, right, disparity, offset_px, index) for index in range(STRIPS)]
-    if sum(len(windows.u) for windows in strips) < FEWEST:
+    if sum(len(windows.u) for windows in strips) < _FEWEST:
         return RowShift()
     patches = np.concatenate([_strongest(windows, disparity.region) for windows in strips])
     far = _far_shift(left, right, patches, disparity.region)
-    return RowShift(far) if far > FAR_PX else _fitted(strips, disparity.region)
+    return RowShift(far) if far > _FAR_PX else _fitted(strips, disparity.region)
 
 
 def strip(disparity: Disparity, middle: int, height: int) -> tuple[slice, Disparity]:
@@ -106,7 +106,7 @@ def strip(disparity: Disparity, middle: int, height: int) -> tuple[slice, Dispar
     return rows, Disparity(disparity.values[rows], part, disparity.confidence[rows])
 
 
-def smooth(image: U8, sigma_px: float) -> F32:
+def smooth_rows(image: U8, sigma_px: float) -> F32:
     """A grey image, smoothed."""
     return np.asarray(cv2.GaussianBlur(image.astype(np.float32), (0, 0), sigma_px), np.float32)
 
@@ -133,15 +133,15 @@ def _strip_windows(
         disparity, round(region.y0 + (index + 0.5) * step), min(round(step), STRIP_ROWS)
     )
     columns = region.slices[1]
-    if min(region.x1 - region.x0, rows.stop - rows.start) < WINDOW_STEPS * STEP_PX:
+    if min(region.x1 - region.x0, rows.stop - rows.start) < WINDOW_STEPS * _STEP_PX:
         none = np.empty(0)
         return Windows(none, none, none, none)
     matched = part.values[:, columns] - np.float32(offset_px)
     in_right = matched <= np.arange(region.x0, region.x1, dtype=np.float32)
     flat, seen = _one_surface(np.where(in_right, matched, np.float32(np.nan)))
-    one, other = (smooth(image[rows], SMOOTHING_PX) for image in (left, right))
+    one, other = (smooth_rows(image[rows], SMOOTHING_PX) for image in (left, right))
     shift, energy, sure = _window_shifts(one[:, columns], laid_over(other, flat, region.x0), seen)
-    v, u = (STEP_PX * (place + WINDOW_STEPS / 2) for place in sure.nonzero())
+    v, u = (_STEP_PX * (place + WINDOW_STEPS / 2) for place in sure.nonzero())
     return Windows(shift[sure], energy[sure], np.asarray(u + region.x0), np.asarray(v + rows.start))
 
 
@@ -161,7 +161,7 @@ def _one_surface(disparity: F32) -> tuple[F32, F32]:
 
 
 def _box(image: F32) -> F32:
-    side = WINDOW_STEPS * STEP_PX - 1
+    side = WINDOW_STEPS * _STEP_PX - 1
     return np.asarray(cv2.boxFilter(image, -1, (side, side)), np.float32)
 
 
@@ -185,14 +185,14 @@ def _window_shifts(left: F32, laid: F32, seen: F32) -> tuple[F64, F64, Mask]:
     energy = yy - along * xy
     shift = (yz - along * xz) / np.maximum(energy, np.float32(1e-3))
     corner = xx * energy > LEAST_BOTH * ((xx + yy) / 2) ** 2
-    sure = (share > LEAST_SHARE) & (energy > LEAST_ENERGY) & corner
+    sure = (share > _LEAST_SHARE) & (energy > LEAST_ENERGY) & corner
     return shift.astype(np.float64), energy.astype(np.float64), np.asarray(sure)
 
 
 def _sums(image: F32) -> F32:
     """Means over the windows: of blocks of a step, and of these."""
-    height, width = (side // STEP_PX for side in image.shape)
-    whole = image[: height * STEP_PX, : width * STEP_PX]
+    height, width = (side // _STEP_PX for side in image.shape)
+    whole = image[: height * _STEP_PX, : width * _STEP_PX]
     blocks = np.asarray(
         cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), np.float32
     )
@@ -211,7 +211,7 @@ def _fitted(strips: list[Windows], region: Region) -> RowShift:
     x, y = (u - u.mean()) / WIDTH_PX, (v - v.mean()) / WIDTH_PX
     basis = np.column_stack([np.ones_like(x), x, y, x * y])
     field, scatter = np.full_like(shift, np.median(shift)), 0.0
-    for _ in range(ROUNDS):
+    for _ in range(_ROUNDS):
         residual = shift - field
         scatter = 1.4826 * float(np.median(np.abs(residual)))
         weight = 1 / (1 + (residual / (OUTLIER * scatter + 1e-6)) ** 2) ** 2
@@ -222,7 +222,7 @@ def _fitted(strips: list[Windows], region: Region) -> RowShift:
             basis,
             np.linalg.lstsq(normal, np.einsum("ni,n->i", basis, weight * shift))[0],
         )
-    noise = basis.shape[1] * scatter**2 * ALIKE / len(shift)
+    noise = basis.shape[1] * scatter**2 * _ALIKE / len(shift)
     systematic = float(np.sqrt(max(np.mean(field**2) - noise, 0.0)))
     return RowShift(systematic, _largest_part(np.abs(shift - field), u, strips, region))
 
@@ -258,7 +258,7 @@ def _far_shift(left: U8, right: U8, patches: F64, region: Region) -> float:
         (region.min_disparity + region.num_disparities) // scale + 1,
         region.min_disparity // scale - 1,
     )
-    half, rows = PATCH_PX // 2, PATCH_PX // 2 + ROWS_PX
+    half, rows = _PATCH_PX // 2, _PATCH_PX // 2 + ROWS_PX
     found = []
     for u, v in (patches / scale).astype(int):
         patch = one[v - half : v + half + 1, max(u - half, 0) : u + half + 1]
@@ -270,7 +270,7 @@ def _far_shift(left: U8, right: U8, patches: F64, region: Region) -> float:
             v < rows
             or len(area) < 2 * rows + 1
             or patch.shape[1] > area.shape[1]
-            or patch.shape[1] < PATCH_PX
+            or patch.shape[1] < _PATCH_PX
         ):
             continue
         likeness = np.asarray(
@@ -287,7 +287,7 @@ def _clear_peak(likeness: F64) -> float | None:
     """
     top = int(np.argmax(likeness))
     away = np.abs(np.arange(len(likeness)) - top) > PEAK_PX
-    if 1 - likeness[top] > CLEARER * (1 - likeness[away].max()):
+    if 1 - likeness[top] > _CLEARER * (1 - likeness[away].max()):
         return None
     if not 0 < top < len(likeness) - 1:
         return float(top)

@@ -16,26 +16,26 @@ import numpy as np
 
 from stereo_ore.config import GrizzlyConfig, HealthConfig
 from stereo_ore.stages.grizzly.bars import BarFit
-from stereo_ore.stages.grizzly.plane import candidate_planes, refine
+from stereo_ore.stages.grizzly.plane import candidate_planes, refine_plane
 from stereo_ore.stages.grizzly.sample import Sample, draw_sample, tolerances
 from stereo_ore.types import F64, Mask, Plane, Reason, Registration, Surface
 
-FEWEST_POINTS = 200
-WIDE = 0.7
+_FEWEST_POINTS = 200
+_WIDE = 0.7
 """Spread of a plane's points over that of all points, below which it may be the face of a rock."""
-CLEARER = 1.5
+_CLEARER = 1.5
 """So many times the points near the site's plane a plane elsewhere must have to be believed."""
-OVERLAP = 5.0
+_OVERLAP = 5.0
 """Planes nearer than this [standard deviations of a depth] share points: one of them can't be much
 clearer."""
 
-LEAST_OPEN, GRID = 0.12, 20_000
+_LEAST_OPEN, _GRID = 0.12, 20_000
 """Share of a screen's outline, on a grid of so many pixels, that shows no bar and no ore: a bed of
 ore has no gaps."""
 LEAST_HIDDEN = 0.4
 """Share of the outline of all points that shows any where ore hides the screen; less where only
 tips of it are left."""
-LEAST_OWN, CLEAR_OF, BESIDE = 0.05, 2.5, 2.5
+LEAST_OWN, CLEAR_OF, _BESIDE = 0.05, 2.5, 2.5
 """The bars are at the site's plane after all where at least this share of the points is, so many
 times more than so many tolerances above and below: then a wider plane is the floor of the pit."""
 
@@ -55,7 +55,7 @@ class Deviation:
     sigma_rad: float
 
 
-def doubts(
+def screen_doubts(
     surface: Surface, plane: Plane, grizzly: GrizzlyConfig, config: HealthConfig
 ) -> Iterator[Reason]:
     """SCREEN_MOVED where the cloud shows the screen elsewhere, or neither it nor a bed of ore that
@@ -73,7 +73,7 @@ def doubts(
         The limits.
     """
     sample = draw_sample(surface, grizzly)
-    if len(sample) < FEWEST_POINTS:
+    if len(sample) < _FEWEST_POINTS:
         return
     found = deviation(surface, sample, plane, grizzly, config.least_screen)
     if found is None:
@@ -135,18 +135,19 @@ def deviation(
 ) -> Deviation | None:
     """How far the clearest plane of the cloud is from `plane`; None where no plane is clear."""
     planes = [
-        refine(sample, plane, BarFit(None, 0.0)) for plane, _ in candidate_planes(sample, config)
+        refine_plane(sample, plane, BarFit(None, 0.0))
+        for plane, _ in candidate_planes(sample, config)
     ]
     wide = [candidate for candidate in planes if _is_wide(sample, candidate, least_share)]
     if not wide:
         return None
     seen = max(wide, key=lambda candidate: _share(sample, candidate))
-    if _open_share(surface, seen, config) < LEAST_OPEN:
+    if _open_share(surface, seen, config) < _LEAST_OPEN:
         return None
     on = _on(sample, seen)
     found = _deviation(sample.xyz[on], seen, plane, surface)
-    overlaps = abs(found.offset_m) < OVERLAP * found.sigma_m
-    clearer = on.mean() > CLEARER * _share(sample, plane)
+    overlaps = abs(found.offset_m) < _OVERLAP * found.sigma_m
+    clearer = on.mean() > _CLEARER * _share(sample, plane)
     return found if overlaps or (clearer and not _stays(sample, plane)) else None
 
 
@@ -163,14 +164,14 @@ def _on(sample: Sample, plane: Plane) -> Mask:
 def _is_wide(sample: Sample, plane: Plane, least_share: float) -> bool:
     """Whether a plane has points enough, over much of what is seen."""
     on = _on(sample, plane)
-    return bool(on.mean() >= least_share and _spread(sample.xyz[on]) >= WIDE * _spread(sample.xyz))
+    return bool(on.mean() >= least_share and _spread(sample.xyz[on]) >= _WIDE * _spread(sample.xyz))
 
 
 def _open_share(surface: Surface, plane: Plane, config: GrizzlyConfig) -> float:
     """Share of the pixels within the outline of the plane's points that show nothing on it or
     above.
     """
-    step = max(1, int(np.sqrt(surface.xyz[..., 2].size / GRID)))
+    step = max(1, int(np.sqrt(surface.xyz[..., 2].size / _GRID)))
     height = plane.height(surface.xyz[::step, ::step])
     tolerance = tolerances(surface.sigma_z[::step, ::step], config)
     on = np.abs(height) < tolerance
@@ -192,7 +193,7 @@ def _share(sample: Sample, plane: Plane) -> float:
 
 def _share_beside(sample: Sample, plane: Plane) -> float:
     """The greater share of points on the planes a little above and below."""
-    step = BESIDE * float(np.median(sample.tolerance))
+    step = _BESIDE * float(np.median(sample.tolerance))
     return max(_share(sample, Plane(plane.normal, plane.offset + side * step)) for side in (-1, 1))
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from stereo_ore.types import Reason, Site, StereoCalibration
 
 ARM = "arm_from_camera"
-VOLUME = "working_volume"
+_VOLUME = "working_volume"
 PLANE = "grizzly.plane or background"
 
 
@@ -21,7 +21,7 @@ def missing(site: Site) -> Iterator[Reason]:
     """
     wanted = (
         ("NO_ARM_FRAME", ARM, site.T_arm_camera is not None),
-        ("NO_VOLUME_GIVEN", VOLUME, site.volume is not None),
+        ("NO_VOLUME_GIVEN", _VOLUME, site.volume is not None),
         ("NO_PLANE_GIVEN", PLANE, site.plane is not None or site.background is not None),
     )
     for code, key, given in wanted:

@@ -28,10 +28,10 @@ FARTHER_SHARE = 0.15
 """Nothing lies behind the empty screen: more pixels than this that do are a sign of another
 view."""
 
-FORMAT = "stereo_ore/background/1"
+_FORMAT = "stereo_ore/background/1"
 
 
-def build(disparities: Sequence[Disparity]) -> Background:
+def build_background(disparities: Sequence[Disparity]) -> Background:
     """The model from one or many frames of the empty screen: median and robust standard deviation
     of each pixel.
 
@@ -127,13 +127,13 @@ def _slid(shift: F32, unchanged: Mask) -> bool:
     return bool(abs(np.median(shift[unchanged])) > MOVED_PX / 2)
 
 
-def save(background: Background, path: Path) -> None:
+def save_background(background: Background, path: Path) -> None:
     """Write the model as a compressed NPZ; an interrupted write leaves no torn file."""
     part = path.with_name(path.name + ".part")
     with part.open("wb") as file:
         np.savez_compressed(
             file,
-            format=np.array(FORMAT),
+            format=np.array(_FORMAT),
             disparity=background.disparity,
             sigma=background.sigma,
             frames=np.array(background.frames),
@@ -141,7 +141,7 @@ def save(background: Background, path: Path) -> None:
     os.replace(part, path)
 
 
-def load(path: Path) -> Background:
+def load_background(path: Path) -> Background:
     """Read a model.
 
     Raises
@@ -151,9 +151,9 @@ def load(path: Path) -> Background:
     """
     try:
         with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-            if str(file["format"]) != FORMAT:
+            if str(file["format"]) != _FORMAT:
                 raise ConfigError(
-                    f"has format {file['format']}, not {FORMAT}", file=path, key="format"
+                    f"has format {file['format']}, not {_FORMAT}", file=path, key="format"
                 )
             return Background(
                 np.asarray(file["disparity"], np.float32),

@@ -23,10 +23,10 @@ RIGHT_PX = 1.0
 AGREED_PX = 2.0
 """Left and right match agree up to this difference."""
 
-NEAR_PX = (7, 21, 61)
+_NEAR_PX = (7, 21, 61)
 """Windows in which the share of pixels that agree is taken."""
 
-STEP_PX, MAX_STEP_PX = 9, 16.0
+_STEP_PX, MAX_STEP_PX = 9, 16.0
 """Window over which steps of disparity are averaged, and how much one counts at most."""
 
 WITNESSES = (
@@ -45,12 +45,14 @@ step_px     mean size of the steps of disparity along the rows in a window, px
 
 
 def agreement(difference: I16) -> list[F32]:
-    """Share of pixels that agree in each window of `NEAR_PX`, (h, w) each, from differences [px /
+    """Share of pixels that agree in each window of `_NEAR_PX`, (h, w) each, from differences [px /
     16].
     """
     agreed = difference <= np.int16(AGREED_PX * sgbm.SUBPIXEL)
     return list(
-        pool().map(lambda side: windows.count(agreed, side) * np.float32(1 / side**2), NEAR_PX)
+        pool().map(
+            lambda side: windows.count_valid(agreed, side) * np.float32(1 / side**2), _NEAR_PX
+        )
     )
 
 
@@ -60,26 +62,26 @@ def witnesses(cues: Mapping[str, F32], agreed: list[F32], residual: F32, filled:
     Parameters
     ----------
     cues : mapping
-        From `cues.compute`.
+        From `cues.pixel_cues`.
     agreed : list
         From `agreement`.
     residual : (h, w) float32
-        From `subpixel.refine` [grey levels].
+        From `subpixel.refine_disparity` [grey levels].
     filled : (h, w) float32
         Disparity as matched [px], 0 where it is not valid.
     """
     step = np.minimum(np.abs(cv2.Sobel(filled, cv2.CV_32F, 1, 0)), np.float32(MAX_STEP_PX))
     found = {
         **cues,
-        **{f"agreed_{side}": share for side, share in zip(NEAR_PX, agreed, strict=True)},
+        **{f"agreed_{side}": share for side, share in zip(_NEAR_PX, agreed, strict=True)},
         "texture": np.log1p(cues["texture"]),
         "residual": np.log1p(residual),
-        "step_px": windows.total(step, STEP_PX) * np.float32(1 / STEP_PX**2),
+        "step_px": windows.total(step, _STEP_PX) * np.float32(1 / _STEP_PX**2),
     }
     return [found[name] for name in WITNESSES]
 
 
-def judge(seen: list[F32], network: Network | None = None) -> F32:
+def probability_right(seen: list[F32], network: Network | None = None) -> F32:
     """Probability of being within `RIGHT_PX` of the truth, (h, w) float32, from `witnesses`; the
     shipped network.
     """

@@ -21,11 +21,11 @@ MAX_DEVIATION_PX = 8.0
 """Deviations count up to here, so that one wild pixel does not fill its window."""
 
 
-REACH_PX = max(SHARE_PX // 2, SPREAD_PX // 2 + 2, subpixel.REACH_PX)
+CUES_REACH_PX = max(SHARE_PX // 2, SPREAD_PX // 2 + 2, subpixel.REACH_PX)
 """How far from a pixel the cues look, with what they are given."""
 
 
-def compute(found: Agreement, matched: I16, around: Support, residual: F32) -> dict[str, F32]:
+def pixel_cues(found: Agreement, matched: I16, around: Support, residual: F32) -> dict[str, F32]:
     """The cues of a crop, each (h, w) float32.
 
     Parameters
@@ -37,15 +37,15 @@ def compute(found: Agreement, matched: I16, around: Support, residual: F32) -> d
     around : Support
         Where there is a disparity in the end.
     residual : (h, w) float32
-        From `subpixel.refine`, [grey levels].
+        From `subpixel.refine_disparity`, [grey levels].
     """
     deviation = (
         _limited(np.asarray(cv2.absdiff(matched, cv2.medianBlur(matched, 5)), np.int16))
         * around.weight
     )
-    near = np.maximum(windows.count(around.valid, SPREAD_PX), np.float32(1))
+    near = np.maximum(windows.count_valid(around.valid, SPREAD_PX), np.float32(1))
     return {
-        "valid_share": windows.count(around.valid, SHARE_PX) * np.float32(1 / SHARE_PX**2),
+        "valid_share": windows.count_valid(around.valid, SHARE_PX) * np.float32(1 / SHARE_PX**2),
         "spread_px": np.float32(ABSOLUTE_TO_SIGMA) * windows.total(deviation, SPREAD_PX) / near,
         "lr_diff_px": _limited(found.difference) * around.weight,
         "texture": found.texture,

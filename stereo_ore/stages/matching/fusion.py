@@ -23,14 +23,14 @@ grey levels: where all frames move, their differences are not noise."""
 CHANGED_SHARE = 0.002
 """Share of changed pixels above which a frame moves."""
 
-OUTLIER_PX = 1.0
+_OUTLIER_PX = 1.0
 """Disparities farther from their median belong to another surface."""
 
 
 def fuse(pairs: Sequence[RectifiedPair], disparities: Sequence[Disparity]) -> Disparity:
     """One disparity from N frames of a still scene.
 
-    Each pixel is the mean of the disparities within `OUTLIER_PX` of their median, where more than
+    Each pixel is the mean of the disparities within `_OUTLIER_PX` of their median, where more than
     half of the still frames have one: √N less noise, where a median alone would give 0.8 √N. What
     all frames have in common, the matcher's preference for whole pixels, is lessened by one more
     refinement on the mean images.
@@ -116,7 +116,7 @@ def _refine(pairs: Sequence[RectifiedPair], region: Region, values: F32) -> F32:
     valid = np.isfinite(part)
     filled = np.where(valid, part, np.float32(0))
     refined = values.copy()
-    fine = subpixel.refine(images, filled, windows.support(valid)).values
+    fine = subpixel.refine_disparity(images, filled, windows.support(valid)).values
     np.copyto(refined[region.slices], fine + offset, where=valid)
     return refined
 
@@ -152,7 +152,7 @@ def _robust_mean(stack: F32) -> tuple[F32, float]:
     ordered = np.sort(stack, axis=0)
     count = np.isfinite(stack).sum(0)
     middle = np.take_along_axis(ordered, np.maximum(count - 1, 0)[None] // 2, 0)
-    near = np.abs(stack - middle) <= OUTLIER_PX
+    near = np.abs(stack - middle) <= _OUTLIER_PX
     support = near.sum(0)
     total = np.where(near, stack, np.float32(0)).sum(0)
     enough = 2 * support > len(stack)

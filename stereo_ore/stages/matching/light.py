@@ -19,7 +19,7 @@ from stereo_ore.types import F32, U8, Region
 COARSE_WIDTH_PX = 240
 """Largest width to which images are reduced for a first look; by two at least."""
 
-COARSE = {
+_COARSE = {
     "mode": "3way",
     "block_size": 3,
     "uniqueness": 10,
@@ -41,7 +41,7 @@ ENOUGH = 0.9
 UNLIKE = 0.5
 """Mean difference of the eyes' brightness [grey levels] from which on one is given the other's."""
 
-SIGMA_PX, NOISE, CONTRAST, MIDDLE = 7.0, 4.0, 42.0, 128.0
+SIGMA_PX, _NOISE, CONTRAST, MIDDLE = 7.0, 4.0, 42.0, 128.0
 """Standard deviation of the window; grey levels added to the contrast in it, that of noise; grey
 levels given to one standard deviation; grey level given to the mean."""
 
@@ -52,7 +52,7 @@ def coarse_scale(width: int) -> int:
 
 
 @dataclass(frozen=True)
-class Look:
+class _Look:
     """What a small copy shows: what both directions find on it, and in which of its images.
 
     `like` is whether the right eye's brightness is to be made the left's, `even` whether to match
@@ -69,17 +69,17 @@ class Look:
         return float(self.found.valid.mean())
 
 
-def first_look(small: Crop, config: MatchingConfig) -> Look:
+def first_look(small: Crop, config: MatchingConfig) -> _Look:
     """Match a small copy with like brightness, and where that is not enough as it is and
     normalised; choose.
     """
-    quick = config.model_copy(update=COARSE)
+    quick = config.model_copy(update=_COARSE)
     alike = with_like_brightness(small) if config.even_light else small
-    best = Look(consistency.match_both(alike, quick), like=alike is not small, even=False)
+    best = _Look(consistency.match_both(alike, quick), like=alike is not small, even=False)
     if not config.even_light or best.share >= ENOUGH:
         return best
     if best.like:
-        plain = Look(consistency.match_both(small, quick), like=False, even=False)
+        plain = _Look(consistency.match_both(small, quick), like=False, even=False)
         best = plain if plain.share - best.share > ALIKE_LOSS else best
     even = replace(best, found=consistency.match_both(small, quick, normalised(small)), even=True)
     return even if even.share - best.share > EVEN_GAIN else best
@@ -139,7 +139,7 @@ def _normalise(image: U8) -> U8:
     grey = image.astype(np.float32)
     mean = _blur(grey)
     spread = np.sqrt(np.maximum(_blur(grey * grey) - mean * mean, np.float32(0)))
-    even = (grey - mean) / (spread + np.float32(NOISE)) * np.float32(CONTRAST) + np.float32(MIDDLE)
+    even = (grey - mean) / (spread + np.float32(_NOISE)) * np.float32(CONTRAST) + np.float32(MIDDLE)
     return np.asarray(cv2.convertScaleAbs(np.maximum(even, np.float32(0))), np.uint8)
 
 

@@ -58,7 +58,7 @@ def match(pair: RectifiedPair, region: Region, config: MatchingConfig) -> Dispar
     offset = np.float32(region.min_disparity + pair.rig.disparity_offset_px)
     np.copyto(values[region.slices], measured.values + offset, where=sure)
     np.copyto(chances[region.slices], measured.confidence, where=sure)
-    doubts = measured.cues | relief.compute(values[region.slices], sure)
+    doubts = measured.cues | relief.relief_cues(values[region.slices], sure)
     masks = {"matched": matched, "textured": textured, "disparities": sure}
     counts = {name: int(mask.sum()) for name, mask in masks.items()}
     return Disparity(values, region, chances, doubts, search_saved(pair.rig, region) | counts)
@@ -86,11 +86,11 @@ def _measure(images: sgbm.Crop, found: Agreement) -> _Measured:
         near = [share[rows] for share in agreed]
         refined, seen, witnesses = evidence(images.rows(rows), found.rows(rows), near)
         values[band] = refined[core]
-        chances[band] = confidence.judge([witness[core] for witness in witnesses])
+        chances[band] = confidence.probability_right([witness[core] for witness in witnesses])
         for name, cue in seen.items():
             doubts[name][band] = cue[core]
 
-    in_bands(shape[0], cues.REACH_PX, measure)
+    in_bands(shape[0], cues.CUES_REACH_PX, measure)
     return _Measured(values, chances, doubts)
 
 
@@ -111,8 +111,8 @@ def evidence(
     """
     around, matched = windows.support(found.valid), found.left * found.valid
     filled = sgbm.to_px(matched)
-    refined = subpixel.refine(images, filled, around)
-    seen = cues.compute(found, matched, around, refined.residual)
+    refined = subpixel.refine_disparity(images, filled, around)
+    seen = cues.pixel_cues(found, matched, around, refined.residual)
     return refined.values, seen, confidence.witnesses(seen, agreed, refined.residual, filled)
 
 

@@ -20,7 +20,7 @@ there."""
 SHORT_RANGE = 32
 """Without a volume so few disparities are sooner searched than looked over."""
 
-LEAST_SHARE = 0.02
+_LEAST_SHARE = 0.02
 """Below this share of matched pixels the small copy is not believed."""
 
 
@@ -52,7 +52,7 @@ def narrow(
     images = sgbm.crop(left, right, coarse)
     found = light.first_look(images, config).found
     seen = found.valid
-    if seen.mean() < LEAST_SHARE:
+    if seen.mean() < _LEAST_SHARE:
         return region
     disparity = (sgbm.to_px(found.left) + np.float32(coarse.min_disparity)) * np.float32(scale)
     if volume is None:

@@ -17,7 +17,7 @@ MARGIN_DISPARITY_PX = 2
 MUCH_NEARER = 16
 """A volume that begins to be seen only this many times nearer is told to be too near; nearer ones
 are taken for behind or beside the camera."""
-STEP = 16
+_STEP = 16
 """OpenCV searches multiples of this many disparities."""
 
 _FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
@@ -137,6 +137,6 @@ def _range(rig: Rig, seen: F64) -> tuple[int, int]:
 
 
 def round_up(count: int) -> int:
-    """The next multiple of `STEP`, at least one."""
+    """The next multiple of `_STEP`, at least one."""
     count = max(count, 1)
-    return -(-count // STEP) * STEP
+    return -(-count // _STEP) * _STEP

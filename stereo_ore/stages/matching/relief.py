@@ -19,10 +19,10 @@ REDUCTIONS = {14: 2, 36: 4, 72: 8}
 """How far the image is reduced for each window: sums over some seven pixels of a copy tell as much
 as over all."""
 
-RIDGE = 0.3
+_RIDGE = 0.3
 """Added to the variances of position [px² of the copy]: where they vanish, the plane lies flat."""
 
-LEAST = np.float32(1e-3)
+_LEAST = np.float32(1e-3)
 """Added to weights before a division."""
 
 
@@ -37,7 +37,7 @@ class Level:
     support: F32
 
 
-def compute(values: F32, valid: Mask) -> dict[str, F32]:
+def relief_cues(values: F32, valid: Mask) -> dict[str, F32]:
     """Offset from the local plane, scatter around it, and its support, for each window.
 
     A plane d ≈ c + a·x + b·y is fitted by least squares to the valid disparities of a square window
@@ -91,14 +91,14 @@ def _planes(centred: F32, weight: F32, reduction: int, window: int) -> Level:
         )
 
     total = moment(w, one, one)
-    each = np.float32(1) / (total + LEAST)
+    each = np.float32(1) / (total + _LEAST)
     mx, my, md = (
         moment(w, ramp, one) * each,
         moment(w, one, ramp) * each,
         moment(d, one, one) * each,
     )
-    xx = moment(w, ramp * ramp, one) * each - mx * mx + np.float32(RIDGE)
-    yy = moment(w, one, ramp * ramp) * each - my * my + np.float32(RIDGE)
+    xx = moment(w, ramp * ramp, one) * each - mx * mx + np.float32(_RIDGE)
+    yy = moment(w, one, ramp * ramp) * each - my * my + np.float32(_RIDGE)
     xy = moment(w, ramp, ramp) * each - mx * my
     xd, yd = moment(d, ramp, one) * each - mx * md, moment(d, one, ramp) * each - my * md
     determinant = xx * yy - xy * xy

@@ -24,11 +24,11 @@ CLEAN_PX, NOISY_PX, NOISY = 3, 5, 1.1
 """Matching windows of an automatic size, and the noise [grey levels] from which on the larger one
 is taken: it errs less there, while the smaller one follows what is thin."""
 
-NOISE_CELL_PX, NOISE_SHARE, NOISE_ROWS = 16, 5, 4
+NOISE_CELL_PX, _NOISE_SHARE, NOISE_ROWS = 16, 5, 4
 """Cells whose noise is measured, the per cent of them that are plainest, and of how many stretches
 of rows one will do. """
 
-MODES = {
+_MODES = {
     "sgbm": cv2.STEREO_SGBM_MODE_SGBM,
     "3way": cv2.STEREO_SGBM_MODE_SGBM_3WAY,
     "hh": cv2.STEREO_SGBM_MODE_HH,
@@ -118,7 +118,7 @@ def noise(image: U8) -> float:
         np.abs(cv2.sepFilter2D(part, cv2.CV_32F, once, once)).reshape(cell, -1, cell).mean((0, 2))
         for part in rows
     ]
-    return float(np.percentile(np.concatenate(size), NOISE_SHARE) * np.sqrt(np.pi / 2) / 6)
+    return float(np.percentile(np.concatenate(size), _NOISE_SHARE) * np.sqrt(np.pi / 2) / 6)
 
 
 def match_left(images: Crop, config: MatchingConfig) -> I16:
@@ -187,5 +187,5 @@ def _matcher(config: MatchingConfig, lowest: int, count: int) -> cv2.StereoSGBM:
         preFilterCap=config.pre_filter_cap,
         uniquenessRatio=config.uniqueness,
         speckleWindowSize=0,
-        mode=MODES[config.mode],
+        mode=_MODES[config.mode],
     )

@@ -14,19 +14,19 @@ from stereo_ore.stages.matching.sgbm import Crop
 from stereo_ore.stages.matching.windows import Support
 from stereo_ore.types import F32, U8
 
-PATCH_PX = 7
+_PATCH_PX = 7
 """Window over which the images are compared."""
 
-STEP_PX = 1.5
+_STEP_PX = 1.5
 """Disparities are averaged before and after; such a step ends a surface."""
 
-REACH_PX = 2 * (windows.SMOOTH_PX // 2) + PATCH_PX // 2
+REACH_PX = 2 * (windows.SMOOTH_PX // 2) + _PATCH_PX // 2
 """How far from a pixel the refinement looks."""
 
 MAX_SHIFT_PX = 0.35
 """The matcher's parabola is hardly ever more wrong than this on the right minimum."""
 
-NOISE, ROW_NOISE = 1.0, 3.0
+_NOISE, ROW_NOISE = 1.0, 3.0
 """Variance of the gradient along rows that noise alone makes [grey levels²]: without texture the
 parabola stands. That along columns is counted as more, since rows are nearly aligned: a shift of
 rows must be plain to be believed."""
@@ -44,7 +44,7 @@ class Refined:
     residual: F32
 
 
-def refine(images: Crop, filled: F32, around: Support) -> Refined:
+def refine_disparity(images: Crop, filled: F32, around: Support) -> Refined:
     """One Gauss-Newton step of Lucas and Kanade's (1981) registration for each pixel, whatever the
     eyes' brightness.
 
@@ -63,8 +63,8 @@ def refine(images: Crop, filled: F32, around: Support) -> Refined:
     around : Support
         Where there is a disparity.
     """
-    start = windows.smooth(filled, around, STEP_PX)
-    count = np.maximum(windows.count(around.valid, PATCH_PX), np.float32(1))
+    start = windows.smooth(filled, around, _STEP_PX)
+    count = np.maximum(windows.count_valid(around.valid, _PATCH_PX), np.float32(1))
     before = (images.inner - warp(images, start)) * around.weight
     moved = (start + _step(images.inner, before, around, count)) * around.weight
     after = (images.inner - warp(images, moved)) * around.weight
@@ -72,7 +72,7 @@ def refine(images: Crop, filled: F32, around: Support) -> Refined:
     better = np.less(left, unlike).view(np.uint8)
     values = np.asarray(cv2.copyTo(moved, better, start), np.float32)
     residual = np.sqrt(np.maximum(np.minimum(left, unlike), np.float32(0)))
-    return Refined(windows.smooth(values, around, STEP_PX), residual)
+    return Refined(windows.smooth(values, around, _STEP_PX), residual)
 
 
 def _step(left: U8, residual: F32, around: Support, count: F32) -> F32:
@@ -80,14 +80,14 @@ def _step(left: U8, residual: F32, around: Support, count: F32) -> F32:
     gx = windows.horizontal_gradient(left) * around.weight
     gy = windows.vertical_gradient(left) * around.weight
     each = np.float32(1) / count
-    r, x, y = (windows.total(image, PATCH_PX) * each for image in (residual, gx, gy))
+    r, x, y = (windows.total(image, _PATCH_PX) * each for image in (residual, gx, gy))
 
     def moment(one: F32, other: F32, means: F32) -> F32:
-        return windows.total(one * other, PATCH_PX) * each - means
+        return windows.total(one * other, _PATCH_PX) * each - means
 
     xr, yr, xy = moment(gx, residual, x * r), moment(gy, residual, y * r), moment(gx, gy, x * y)
-    window = np.float32(PATCH_PX**2) * each
-    xx = moment(gx, gx, x * x) + np.float32(NOISE) * window
+    window = np.float32(_PATCH_PX**2) * each
+    xx = moment(gx, gx, x * x) + np.float32(_NOISE) * window
     yy = moment(gy, gy, y * y) + np.float32(ROW_NOISE) * window
     shift = (yr * xy - xr * yy) / np.maximum(xx * yy - xy * xy, np.float32(1e-3))
     return np.asarray(np.clip(shift, -MAX_SHIFT_PX, MAX_SHIFT_PX), np.float32)
@@ -95,8 +95,8 @@ def _step(left: U8, residual: F32, around: Support, count: F32) -> F32:
 
 def _variance(residual: F32, count: F32) -> F32:
     """Variance over the window of a residual (h, w) that is 0 where not valid."""
-    mean = windows.total(residual, PATCH_PX) / count
-    return windows.total(residual * residual, PATCH_PX) / count - mean * mean
+    mean = windows.total(residual, _PATCH_PX) / count
+    return windows.total(residual * residual, _PATCH_PX) / count - mean * mean
 
 
 def warp(images: Crop, disparity: F32) -> F32:

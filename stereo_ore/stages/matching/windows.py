@@ -24,7 +24,7 @@ class Support:
     """Which pixels (h, w) have a disparity: as float32 0 or 1, and how many of those around each
     have one, at least 1.
 
-    `count` is over a window of `SMOOTH_PX`.
+    `count_valid` is over a window of `SMOOTH_PX`.
     """
 
     valid: Mask
@@ -34,11 +34,11 @@ class Support:
 
 def support(valid: Mask) -> Support:
     """What the windows need to know of a mask (h, w)."""
-    around = count(valid, SMOOTH_PX)
+    around = count_valid(valid, SMOOTH_PX)
     return Support(valid, valid.astype(np.float32), np.maximum(around, np.float32(1)))
 
 
-def count(valid: Mask, window: int) -> F32:
+def count_valid(valid: Mask, window: int) -> F32:
     """True pixels of a window of `window` px, (h, w) float32."""
     return _box(valid.view(np.uint8), window)
 

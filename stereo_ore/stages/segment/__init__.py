@@ -8,8 +8,8 @@ from stereo_ore.config import SegmentConfig
 from stereo_ore.stages.segment import channels, outputs, votes, whole
 from stereo_ore.stages.segment.frame import inside_screen
 from stereo_ore.stages.segment.lay import laid
-from stereo_ore.stages.segment.model import LumpModel, load
-from stereo_ore.stages.segment.outline import RIM, filled, renumbered, sharpened
+from stereo_ore.stages.segment.model import LumpModel, load_lump_model
+from stereo_ore.stages.segment.outline import RIM, filled, renumbered, sharpened_picture
 from stereo_ore.types import (
     F64,
     I16,
@@ -24,9 +24,9 @@ from stereo_ore.types import (
     Volume,
 )
 
-__all__ = ["LumpModel", "load", "segment"]
+__all__ = ["LumpModel", "load_lump_model", "segment"]
 
-MARGIN = 0.5
+_MARGIN = 0.5
 """What the network sees around the kept points [openings]."""
 FEWEST = 8.0
 """Pixels of the network's images below which nothing is a lump."""
@@ -71,9 +71,9 @@ def segment(
     opening = screen.opening_m or config.default_opening_m
     pixel_m = channels.pixel_m(disparity, surface, screen)
     opening_px = opening / pixel_m
-    region = _around(measured, disparity.region, MARGIN * opening_px)
+    region = _around(measured, disparity.region, _MARGIN * opening_px)
     small, likely = _named(
-        channels.measure(disparity, surface, screen, opening, region), config, model
+        channels.measure_channels(disparity, surface, screen, opening, region), config, model
     )
     box = np.s_[
         region.y0 - surface.y0 : region.y1 - surface.y0,
@@ -126,7 +126,7 @@ def _drawn(labels: I32, bgr: U8, band: int) -> I32:
         max(rows[0] - margin, 0) : rows[-1] + margin + 1,
         max(columns[0] - margin, 0) : columns[-1] + margin + 1,
     ]
-    out[box] = filled(sharpened(labels[box], bgr[box], band))
+    out[box] = filled(sharpened_picture(labels[box], bgr[box], band))
     return out
 
 

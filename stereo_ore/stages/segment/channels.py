@@ -20,10 +20,10 @@ near by; logarithm of the spread close by."""
 
 UNIT = 32
 """Pixels that the opening spans in the network's images."""
-LEAST_SCALE = 0.15
+_LEAST_SCALE = 0.15
 """The images are never smaller than this share of the camera's."""
-NEAR, CLOSE = 1.5, 7
-"""Side of the windows of means: `NEAR` openings, and `CLOSE` pixels for the texture."""
+_NEAR, _CLOSE = 1.5, 7
+"""Side of the windows of means: `_NEAR` openings, and `_CLOSE` pixels for the texture."""
 LOWEST, HIGHEST, STEEPEST = -1.5, 2.5, 1.5
 """Bounds of the height and of the relief [openings]."""
 BEYOND = 4.0
@@ -39,7 +39,7 @@ class Channels:
     scale: float
 
 
-def measure(
+def measure_channels(
     disparity: Disparity, surface: Surface, screen: Grizzly, opening_m: float, region: Region
 ) -> Channels:
     """The channels of a rectangle of the image that lies within the matched one.
@@ -77,7 +77,7 @@ def measure(
     valid = (share > np.float32(0.3)) & (np.abs(place[2]) < BEYOND)
     weight = valid.astype(np.float32)
     height = np.where(valid, np.clip(place[2], LOWEST, HIGHEST), np.float32(0))
-    window = int(NEAR * UNIT) | 1
+    window = int(_NEAR * UNIT) | 1
     around = _box(height, window) / np.maximum(_box(weight, window), np.float32(1e-3))
     relief = np.clip(height - around, -STEEPEST, STEEPEST) * weight
     cropped = _crop(disparity.region, region)
@@ -99,7 +99,7 @@ def measure(
 
 def _scale(disparity: Disparity, surface: Surface, screen: Grizzly, opening_m: float) -> float:
     """Pixels of the channels over pixels of the camera: the opening spans `UNIT` in the middle."""
-    return float(np.clip(UNIT * pixel_m(disparity, surface, screen) / opening_m, LEAST_SCALE, 1.0))
+    return float(np.clip(UNIT * pixel_m(disparity, surface, screen) / opening_m, _LEAST_SCALE, 1.0))
 
 
 def pixel_m(disparity: Disparity, surface: Surface, screen: Grizzly) -> float:
@@ -179,5 +179,5 @@ def _shades(bgr: U8, size: tuple[int, int], window: int) -> tuple[F32, F32]:
         return np.asarray(np.sqrt(variance), np.float32)
 
     even = np.clip((grey - _box(grey, window)) / (spread(window) + np.float32(3)), -3, 3)
-    texture = (np.log(spread(CLOSE) + np.float32(0.5)) - np.float32(1.5)) / np.float32(1.5)
+    texture = (np.log(spread(_CLOSE) + np.float32(0.5)) - np.float32(1.5)) / np.float32(1.5)
     return np.asarray(even / np.float32(2), np.float32), np.asarray(texture, np.float32)

@@ -12,7 +12,7 @@ from stereo_ore.types import F32, F64, Bars, Grizzly, Mask, Surface
 
 CELLS_PER_BAR = 2
 """Cells of the plan view across a bar's width."""
-I64 = npt.NDArray[np.int64]
+_I64 = npt.NDArray[np.int64]
 PLAN_PIXELS = 50_000
 """Pixels looked at."""
 CLOSED = 0.5
@@ -22,7 +22,7 @@ FLAT = 0.6
 
 
 @dataclass(frozen=True)
-class Side:
+class _Side:
     """The frame against one coordinate: `height` (n,) [m] at `low + i·cell`, NaN between the
     frame's two sides.
     """
@@ -40,10 +40,10 @@ class Side:
 
 
 @dataclass(frozen=True)
-class Frame:
+class _Frame:
     """The frame's sides against the coordinate across the bars and the one along them."""
 
-    sides: tuple[Side, Side]
+    sides: tuple[_Side, _Side]
 
     def inside(self, c: F32, s: F32) -> F32:
         """Distance [m] of points from the nearest side, negative outside."""
@@ -54,7 +54,7 @@ class Frame:
         return np.asarray(np.minimum(depth[0], depth[1]), dtype=np.float32)
 
 
-def find_frame(surface: Surface, relief: Relief, grizzly: Grizzly, bars: Bars) -> Frame:
+def find_frame(surface: Surface, relief: Relief, grizzly: Grizzly, bars: Bars) -> _Frame:
     """The frame around the bars.
 
     The screen is looked at in plan, along and across its bars. Coming from outside, rows of cells
@@ -67,8 +67,8 @@ def find_frame(surface: Surface, relief: Relief, grizzly: Grizzly, bars: Bars) -
     # What is NaN compares false.
     closed = height > -np.maximum(3 * surface.sigma_z[::step, ::step], np.float32(bars.width_m / 4))
     if not closed.any():
-        none = Side(0.0, 1.0, np.array([np.nan]))
-        return Frame((none, none))
+        none = _Side(0.0, 1.0, np.array([np.nan]))
+        return _Frame((none, none))
     on_plane = np.float32(grizzly.plane.offset) / surface.on_rays(grizzly.plane.normal, step)
     cell = bars.width_m / CELLS_PER_BAR
     coordinates = bar_coordinates(surface, bars, np.where(closed, depth, on_plane), step)
@@ -88,11 +88,11 @@ def find_frame(surface: Surface, relief: Relief, grizzly: Grizzly, bars: Bars) -
         share = share / np.maximum(np.take(visible, through, 1 - axis).sum(1 - axis), 1)
         at_row = row[closed[inside]]
         heights = _row_heights(share >= CLOSED, at_row, height[inside & closed], reach, cell)
-        sides.append(Side(plan[axis][1], cell, heights))
-    return Frame((sides[0], sides[1]))
+        sides.append(_Side(plan[axis][1], cell, heights))
+    return _Frame((sides[0], sides[1]))
 
 
-def _span(cells: I64, count: int) -> I64:
+def _span(cells: _I64, count: int) -> _I64:
     """The cells between the outermost ones through which one sees; all when one sees through
     none.
     """

@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from stereo_ore.types import F32, I32
 
-MARGIN = 2
+_MARGIN = 2
 """Pixels around a lump that its interpolated edge may reach."""
 
 
@@ -21,8 +21,8 @@ def laid(small: I32, size: tuple[int, int]) -> I32:
     for label, box in enumerate(ndimage.find_objects(small), 1):
         if box is None:
             continue
-        y0, y1 = max(box[0].start - MARGIN, 0), min(box[0].stop + MARGIN, rows)
-        x0, x1 = max(box[1].start - MARGIN, 0), min(box[1].stop + MARGIN, columns)
+        y0, y1 = max(box[0].start - _MARGIN, 0), min(box[0].stop + _MARGIN, rows)
+        x0, x1 = max(box[1].start - _MARGIN, 0), min(box[1].stop + _MARGIN, columns)
         top, left = int(np.floor(y0 * fy)), int(np.floor(x0 * fx))
         bottom, right = min(int(np.ceil(y1 * fy)), height), min(int(np.ceil(x1 * fx)), width)
         share = _scaled(small[y0:y1, x0:x1] == label, (y0, x0), (top, left, bottom, right), fx, fy)

@@ -20,13 +20,15 @@ from stereo_ore.stages.segment.outputs import OUTPUTS
 from stereo_ore.stages.segment.whole import Whole
 from stereo_ore.types import F32
 
-FORMAT, VERSION = "stereo_ore/lump-model", 1
-SHIPPED = "shipped"
+_FORMAT, _VERSION = "stereo_ore/lump-model", 1
+_SHIPPED = "shipped"
 """Name of the model that comes with the package."""
 STRIDE = 16
 """Sides of the network's input are multiples of this."""
 KEY = "models.lumps"
-REMEDY = "Make it with: stereo-ore tune OUT --train ore; or leave the key out for the shipped model"
+_REMEDY = (
+    "Make it with: stereo-ore tune OUT --train ore; or leave the key out for the shipped model"
+)
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,7 @@ class LumpModel:
             self._net = cv2.dnn.readNetFromONNX(np.frombuffer(self.onnx, np.uint8))
         except cv2.error as error:
             raise ConfigError(
-                "model.onnx is no network that OpenCV can read", key=KEY, remedy=REMEDY
+                "model.onnx is no network that OpenCV can read", key=KEY, remedy=_REMEDY
             ) from error
 
     def __getstate__(self) -> dict[str, Any]:
@@ -94,7 +96,7 @@ class LumpModel:
         return found[0, :, :h, :w]
 
 
-def load(place: str = SHIPPED) -> LumpModel:
+def load_lump_model(place: str = _SHIPPED) -> LumpModel:
     """The model of a folder, or the one that ships with the package.
 
     Raises
@@ -102,7 +104,7 @@ def load(place: str = SHIPPED) -> LumpModel:
     ConfigError
         Naming file, key, value and remedy, when it is none or wants other inputs than are made.
     """
-    return _shipped() if place == SHIPPED else _read(Path(place))
+    return _shipped() if place == _SHIPPED else _read(Path(place))
 
 
 @cache
@@ -118,7 +120,7 @@ def _read(folder: Path) -> LumpModel:
         raise ConfigError(
             f"{str(folder)!r} holds no model: {error.strerror} ({Path(error.filename).name})",
             key=KEY,
-            remedy=REMEDY,
+            remedy=_REMEDY,
         ) from error
     return LumpModel(onnx, _checked(card, text, onnx))
 
@@ -136,10 +138,10 @@ def _checked(path: Path, text: str, onnx: bytes) -> Card:
             {key: value for key, value in data.items() if key not in Card.__dataclass_fields__},
         )
     except (ValueError, KeyError, TypeError) as error:
-        raise ConfigError(f"no card of a model: {error!r}", file=path, remedy=REMEDY) from error
+        raise ConfigError(f"no card of a model: {error!r}", file=path, remedy=_REMEDY) from error
     expected: dict[str, tuple[Any, Any]] = {
-        "format": (data.get("format"), FORMAT),
-        "version": (data.get("version"), VERSION),
+        "format": (data.get("format"), _FORMAT),
+        "version": (data.get("version"), _VERSION),
         "inputs": (card.inputs, CHANNELS),
         "unit_px": (card.unit_px, UNIT),
         "outputs": (card.outputs, OUTPUTS),
@@ -148,7 +150,7 @@ def _checked(path: Path, text: str, onnx: bytes) -> Card:
     for key, (given, wanted) in expected.items():
         if given != wanted:
             raise ConfigError(
-                f"{given!r} does not fit: {wanted!r} is needed", file=path, key=key, remedy=REMEDY
+                f"{given!r} does not fit: {wanted!r} is needed", file=path, key=key, remedy=_REMEDY
             )
     return card
 
@@ -157,8 +159,8 @@ def write(folder: Path, onnx: bytes, about: dict[str, Any]) -> None:
     """Write a model folder; `about` goes into its card."""
     folder.mkdir(parents=True, exist_ok=True)
     card = {
-        "format": FORMAT,
-        "version": VERSION,
+        "format": _FORMAT,
+        "version": _VERSION,
         "inputs": CHANNELS,
         "unit_px": UNIT,
         "outputs": OUTPUTS,

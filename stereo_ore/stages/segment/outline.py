@@ -12,7 +12,7 @@ RIM = 3
 """Pixels that are looked at around what may be ore."""
 
 
-def sharpened(labels: I32, bgr: U8, band: int) -> I32:
+def sharpened_picture(labels: I32, bgr: U8, band: int) -> I32:
     """Labels whose outlines moved to edges of the image, by `band` pixels at most.
 
     Watershed from what is farther than the band inside a label or outside all of them. Adding the

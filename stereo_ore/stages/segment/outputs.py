@@ -16,7 +16,7 @@ lies from here [openings]; logarithm of the root of its area [openings]."""
 GRID = 256
 """Outputs are rounded to 1/GRID before anything is decided by them: engines and processors differ
 by less."""
-SMALLEST, LARGEST = np.exp(-2.5), np.exp(1.8)
+_SMALLEST, _LARGEST = np.exp(-2.5), np.exp(1.8)
 """Bounds of a lump's diameter [openings]."""
 
 
@@ -43,5 +43,5 @@ def read(raw: F32) -> Outputs:
         np.asarray(odds[1], np.float32),
         np.asarray(column + values[2] * UNIT, np.float32),
         np.asarray(row + values[3] * UNIT, np.float32),
-        np.asarray(np.clip(np.exp(values[4]), SMALLEST, LARGEST) * UNIT, np.float32),
+        np.asarray(np.clip(np.exp(values[4]), _SMALLEST, _LARGEST) * UNIT, np.float32),
     )

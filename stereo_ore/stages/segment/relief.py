@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from stereo_ore.types import F32, Bars, Grizzly, Surface
 
-I64 = npt.NDArray[np.int64]
+_I64 = npt.NDArray[np.int64]
 
 SAMPLED = 60_000
 """Pixels that the middle depth and the noise are taken from."""
@@ -64,7 +64,7 @@ def measure_relief(surface: Surface, grizzly: Grizzly) -> Relief:
 
 
 def bar_coordinates(
-    surface: Surface, bars: Bars, depth_m: F32, step: int = 1, at: I64 | None = None
+    surface: Surface, bars: Bars, depth_m: F32, step: int = 1, at: _I64 | None = None
 ) -> tuple[F32, F32]:
     """Coordinates across and along the bars [m] of points at these depths on every `step`-th
     pixel's ray.

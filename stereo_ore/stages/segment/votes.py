@@ -17,20 +17,20 @@ from stereo_ore.types import F32, F64, I32, Mask
 
 SIZE_RATIO, SIZE_REACH = 1.35, 0.4
 """Ratio of successive sizes that are looked at, and how far (of a logarithm) votes count there."""
-BLUR, APART = 0.12, 0.3
+BLUR, _APART = 0.12, 0.3
 """Width of a vote, and least distance of two lumps' middles, in diameters."""
 LIKE = 0.5
 """Sizes that differ less (of a logarithm) are like ones."""
-PLACE, SIZE = 0.25, 0.35
+PLACE, _SIZE = 0.25, 0.35
 """How far (in diameters), and by how much of a logarithm, pixels miss a lump's middle and size."""
 WHOLE = 0.3
 """A lump with a smaller share than this of the pixels that it should have is none."""
 BACK = 12
 """Steps by which lumps grow back over contact lines and scraps."""
-NEAR = np.ones((3, 3), np.uint8)
+_NEAR = np.ones((3, 3), np.uint8)
 CROSS = np.asarray(cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3)), np.uint8)
 
-I64 = npt.NDArray[np.int64]
+_I64 = npt.NDArray[np.int64]
 
 
 def lumps(seen: Outputs, least: float, ore: float, mass: float, line: float) -> I32:
@@ -83,7 +83,7 @@ def _middles(x: F32, y: F32, size: F32, shape: tuple[int, ...], mass: float) -> 
     return _apart(found)
 
 
-def _voted(cell: I64, size: F32, width: int, margin: int) -> tuple[F32, tuple[int, int]]:
+def _voted(cell: _I64, size: F32, width: int, margin: int) -> tuple[F32, tuple[int, int]]:
     """Map of votes around where there are any, and its upper left corner (row, column)."""
     row, column = np.divmod(cell, width)
     top, left = int(row.min()) - margin, int(column.min()) - margin
@@ -99,7 +99,7 @@ def _apart(found: list[tuple[float, float, float, float]]) -> F64:
     for _, x, y, d in sorted(found, key=lambda f: (-f[0], f[2], f[1], f[3])):
         if all(
             np.hypot(x - a, y - b)
-            > APART * (min if abs(np.log(d / other)) > LIKE else max)(d, other)
+            > _APART * (min if abs(np.log(d / other)) > LIKE else max)(d, other)
             for a, b, other in kept
         ):
             kept.append((x, y, d))
@@ -115,7 +115,7 @@ def _nearest(x: F32, y: F32, size: F32, middles: F64) -> I32:
         return np.zeros(len(x), np.int32)
     a, b, d = (column.astype(np.float32) for column in middles.T)
     away = ((x[:, None] - a) ** 2 + (y[:, None] - b) ** 2) / (np.float32(PLACE) * d) ** 2
-    away += (np.log(size[:, None] / d) / np.float32(SIZE)) ** 2
+    away += (np.log(size[:, None] / d) / np.float32(_SIZE)) ** 2
     there = np.arange(len(d))
     while len(there):
         mine = away[:, there].argmin(1)

@@ -8,16 +8,16 @@ import numpy as np
 from scipy.ndimage import find_objects
 
 from stereo_ore.config.models import SolidConfig
-from stereo_ore.stages.solid.cues import DIMENSIONS, Cues, gather
+from stereo_ore.stages.solid.cues import DIMENSIONS, Cues, gather_cues
 from stereo_ore.stages.solid.measure import longest_calliper
-from stereo_ore.stages.solid.prior import Estimate, load
-from stereo_ore.stages.solid.sight import Sight, look
+from stereo_ore.stages.solid.prior import Estimate, load_prior
+from stereo_ore.stages.solid.sight import Sight, look_at_lumps
 from stereo_ore.types import F64, Grizzly, OreMap, Reason, Solid, Surface
 
 __all__ = ["METHOD", "Cues", "Sight", "looks", "solids"]
 
 METHOD = "grounded hull corrected by a shape prior"
-FARTHEST, LARGEST = 1.5, 2.5
+FARTHEST, _LARGEST = 1.5, 2.5
 """Bounds of the correction: shift of the centre over the lump's size, logarithm of the volume's
 ratio."""
 CUT_FACTOR = 2.0
@@ -64,9 +64,11 @@ def looks(
     found: list[tuple[Sight, Cues] | None] = []
     for number, box in enumerate(find_objects(labels, max_label=count) if count else [], 1):
         sight = (
-            look(surface, labels, box, number, grizzly.plane, config.min_points) if box else None
+            look_at_lumps(surface, labels, box, number, grizzly.plane, config.min_points)
+            if box
+            else None
         )
-        cues = gather(sight, grizzly.bars, grizzly.opening_m) if sight else None
+        cues = gather_cues(sight, grizzly.bars, grizzly.opening_m) if sight else None
         found.append((sight, cues) if sight and cues else None)
     return tuple(found)
 
@@ -74,7 +76,7 @@ def looks(
 def _solid(
     sight: Sight, cues: Cues, opening_m: float | None, cut: bool, config: SolidConfig
 ) -> Solid:
-    estimate, s = load().estimate(cues.even, cues.odd, cues.doubts), sight.size
+    estimate, s = load_prior().estimate(cues.even, cues.odd, cues.doubts), sight.size
     base = cues.body
     shift = (
         np.array([estimate.mean[axis] for axis in "xyz"]) * s
@@ -82,7 +84,7 @@ def _solid(
         - base.centroid
     )
     shift *= min(1.0, FARTHEST * s / max(float(np.linalg.norm(shift)), 1e-12))
-    ratio = np.clip(estimate.mean["volume"] - np.log(base.volume / s**3), -LARGEST, LARGEST)
+    ratio = np.clip(estimate.mean["volume"] - np.log(base.volume / s**3), -_LARGEST, _LARGEST)
     volume = float(np.exp(ratio) * base.volume)
     factor = CUT_FACTOR if cut else 1.0
     centre, spread = base.centroid + shift, config.volume_sigmas * estimate.sigma["volume"] * factor

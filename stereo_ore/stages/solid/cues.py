@@ -47,7 +47,7 @@ class Cues:
     box: Box
 
 
-def gather(sight: Sight, bars: Bars | None, opening_m: float | None) -> Cues | None:
+def gather_cues(sight: Sight, bars: Bars | None, opening_m: float | None) -> Cues | None:
     """Cues of a lump, or None when its visible points span no volume."""
     s = sight.size
     points = extremes(sight.points)

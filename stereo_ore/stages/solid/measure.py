@@ -16,7 +16,7 @@ IN_PLANE_TURNS = 12
 BOX_FACES = 24
 """Faces tried as a side of the box, the largest first: the small ones of a rounded lump are nearly
 parallel to them."""
-DIRECTIONS = 80
+_DIRECTIONS = 80
 """Directions in which a cloud's extreme points are sought."""
 TRIMMED = 0.01
 """Share of a cloud's points that may be wild: those farthest in a direction are passed over."""
@@ -46,7 +46,7 @@ class Box:
 
 
 def extremes(points: F64) -> F64:
-    """Points (M, 3) that span (N, 3) ones: in each of `DIRECTIONS` the farthest but a share of
+    """Points (M, 3) that span (N, 3) ones: in each of `_DIRECTIONS` the farthest but a share of
     `TRIMMED`.
     """
     rank = len(points) - 1 - int(TRIMMED * len(points))
@@ -62,8 +62,8 @@ def extremes(points: F64) -> F64:
 @functools.cache
 def _sphere() -> F32:
     """Unit vectors (DIRECTIONS, 3) spread evenly, on a spiral."""
-    i = np.arange(DIRECTIONS) + 0.5
-    polar, azimuth = np.arccos(1 - 2 * i / DIRECTIONS), np.pi * (1 + np.sqrt(5)) * i
+    i = np.arange(_DIRECTIONS) + 0.5
+    polar, azimuth = np.arccos(1 - 2 * i / _DIRECTIONS), np.pi * (1 + np.sqrt(5)) * i
     around = np.sin(polar)
     return np.stack([np.cos(azimuth) * around, np.sin(azimuth) * around, np.cos(polar)], 1).astype(
         np.float32

@@ -25,7 +25,7 @@ REACH = 4.0
 """How many standard deviations a cue may differ from those that the model was made from."""
 PAIR_REACH = 2.5
 """The same in products of cues, which would take a model farther astray."""
-SHIPPED = Path(__file__).with_name("prior.json")
+_SHIPPED = Path(__file__).with_name("prior.json")
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ def _named(names: tuple[str, ...], row: F64) -> dict[str, float]:
 
 
 @functools.cache
-def load(file: Path = SHIPPED) -> Prior:
+def load_prior(file: Path = _SHIPPED) -> Prior:
     """Read the coefficients that ship with the package, or others."""
     document = json.loads(file.read_text(encoding="utf-8"))
     sigma = {

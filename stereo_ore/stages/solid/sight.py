@@ -12,9 +12,9 @@ from stereo_ore.planes import PlaneField, crop_rig, fit_planes
 from stereo_ore.transforms import frame_from_normal
 from stereo_ore.types import F32, F64, I16, Mask, Plane, Rig, Surface
 
-I64 = npt.NDArray[np.int64]
+_I64 = npt.NDArray[np.int64]
 
-MARGIN_PX = 10
+_MARGIN_PX = 10
 """Pixels around a lump's rectangle that are looked at."""
 RING_START_PX, RING_WIDTH = 3.0, 0.1
 """Where the ring around a lump begins, and its width as share of the lump's side."""
@@ -33,7 +33,7 @@ STEP = 0.06
 gap."""
 SLOPE_SIGMA = 0.05
 """Error [rad] wanted of a smoothed surface's slope."""
-LARGEST_WINDOW = 0.2
+_LARGEST_WINDOW = 0.2
 """Largest side of the smoothing window as share of the lump's."""
 EDGE_PX = 4.0
 """Width of the band along the outline in which depth is trusted less [px]."""
@@ -113,14 +113,14 @@ class _Crop:
     sigma_z: float
     rig: Rig
 
-    def points(self, at: I64) -> F64:
+    def points(self, at: _I64) -> F64:
         """Points (N, 3) at flat indices, those of the lump's own surface smoothed."""
         xyz = self.xyz.reshape(-1, 3)[at].astype(np.float64)
         smooth = 1.0 / (self.planes.inverse.ravel()[at] * xyz[:, 2])
         return xyz * np.where(self.seen.ravel()[at], smooth, 1.0)[:, None]
 
 
-def look(
+def look_at_lumps(
     surface: Surface,
     labels: I16,
     box: tuple[slice, ...],
@@ -169,7 +169,7 @@ def _crop(
     """Cut a lump out, with a margin and perhaps a stride, and smooth its surface by planes."""
     stride = max(1, round(float(np.sqrt((labels[box] == number).sum() / SURFACE_PIXELS))))
     rows, columns = (
-        slice(max(s.start - MARGIN_PX * stride, 0), s.stop + MARGIN_PX * stride, stride)
+        slice(max(s.start - _MARGIN_PX * stride, 0), s.stop + _MARGIN_PX * stride, stride)
         for s in box
     )
     labels, xyz = labels[rows, columns], np.ascontiguousarray(surface.xyz[rows, columns])
@@ -220,7 +220,7 @@ def _window(pixel_m: float, sigma_z: float, count: int) -> int:
     A slope fitted to n × n points of spacing p and noise σ has the standard deviation √12·σ/(n²·p).
     """
     steady = np.sqrt(np.sqrt(12.0) * sigma_z / (SLOPE_SIGMA * pixel_m))
-    return 2 * int(0.5 * min(max(steady, 5.0), max(LARGEST_WINDOW * np.sqrt(count), 5.0))) + 1
+    return 2 * int(0.5 * min(max(steady, 5.0), max(_LARGEST_WINDOW * np.sqrt(count), 5.0))) + 1
 
 
 def _trust(lump: Mask) -> F32:
@@ -268,7 +268,7 @@ def _edge(lump: Mask) -> Mask:
     return np.asarray(lump & (inner == 0))
 
 
-def _across(lump: Mask, edge: Mask, known: Mask) -> tuple[I64, I64, int]:
+def _across(lump: Mask, edge: Mask, known: Mask) -> tuple[_I64, _I64, int]:
     """Flat indices of the ring's measured pixels and of the edge pixel nearest to each; how many
     pixels the ring has.
 

@@ -20,9 +20,9 @@ from stereo_ore.stages.segment import model as models
 from stereo_ore.stages.segment.whole import Whole
 from stereo_ore.version import __version__
 
-log = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
-HELD = 8
+_HELD = 8
 """Every so manyth seed is not trained on, but judges."""
 SHARES = (0.4, 0.6)
 """Of crops from scene folders, and from drawn screens."""
@@ -60,31 +60,31 @@ def needs() -> None:
             )
 
 
-def make(course: Course) -> None:
+def _make(course: Course) -> None:
     """Write the examples that are not there yet: those of folders, then those of seeds."""
     course.cache.mkdir(parents=True, exist_ok=True)
     for folder in course.folders:
         path = course.cache / f"scene-{folder.name}.npz"
         if not path.exists() and (found := examples.of_folder(folder)) is not None:
-            examples.save(found, path)
+            examples.save_example(found, path)
     for seed in course.seeds:
         done = course.cache / f"seed-{seed}.done"
         if done.exists():
             continue
         count = 0
         for number, example in enumerate(examples.of_seed(seed)):
-            examples.save(example, course.cache / f"seed-{seed}-{number}.npz")
+            examples.save_example(example, course.cache / f"seed-{seed}-{number}.npz")
             count += 1
         done.touch()
-        log.info("seed %d: %d examples", seed, count)
+        _log.info("seed %d: %d examples", seed, count)
 
 
-def train(course: Course) -> Path:
+def train_ore(course: Course) -> Path:
     """Make examples, train the network, judge it on seeds held out, write the model folder."""
     needs()
-    make(course)
+    _make(course)
     folders = [course.cache / f"scene-{f.name}.npz" for f in course.folders]
-    seeds = [s for s in course.seeds if s % HELD]
+    seeds = [s for s in course.seeds if s % _HELD]
     groups = [_seen(folders), _seen(_views(course, seeds))]
     if not any(groups):
         raise ConfigError("there is nothing to train on", key="--seeds", remedy="Give more seeds")
@@ -93,8 +93,8 @@ def train(course: Course) -> Path:
     shares = [share for share, group in zip(SHARES, groups, strict=True) if group]
     present = [group for group in groups if group]
     checkpoint = course.out / "checkpoint.pt"
-    network = fit.train(lambda: present, shares, course.minutes, checkpoint, say=log.info)
-    held = _views(course, [s for s in course.seeds if not s % HELD])
+    network = fit.train(lambda: present, shares, course.minutes, checkpoint, say=_log.info)
+    held = _views(course, [s for s in course.seeds if not s % _HELD])
     onnx = course.out / "model.onnx.part"
     net.export(network, onnx)
     about = {"made by": _origin(course), **_judged(network, held)}
@@ -108,15 +108,15 @@ def _judged(network: Any, held: Sequence[Path]) -> dict[str, Any]:
     from stereo_ore.lab.training.ore import net
 
     config = SegmentConfig()
-    seen = [examples.load(path) for path in held]
+    seen = [examples.load_example(path) for path in held]
     rows = [judge.named(lambda x: net.outputs_of(network, x), e, config) for e in seen]
     half = len(rows) // 2
     if len({flag for row in rows[:half] for flag in row.good}) < 2:
         return {}
     entry = judge.fit_whole(rows[:half])
     left = list(zip(seen, rows, strict=True))[half:]
-    quality = judge.quality(left, Whole.read(entry), config.lump_probability)
-    log.info("on screens never seen: %s", quality)
+    quality = judge.ore_quality(left, Whole.read(entry), config.lump_probability)
+    _log.info("on screens never seen: %s", quality)
     return {"whole": entry, "quality on drawn screens left out": quality}
 
 
@@ -124,7 +124,7 @@ def _origin(course: Course) -> dict[str, Any]:
     return {
         "version": __version__,
         "seeds": [course.seeds.start, course.seeds.stop - 1],
-        "seeds held out": f"every {HELD}th",
+        "seeds held out": f"every {_HELD}th",
         "scenes": sorted(folder.name for folder in course.folders),
         "minutes": course.minutes,
     }
@@ -135,4 +135,4 @@ def _views(course: Course, seeds: Sequence[int]) -> list[Path]:
 
 
 def _seen(paths: Sequence[Path]) -> list[Seen]:
-    return [Seen(examples.load(path)) for path in paths if path.exists()]
+    return [Seen(examples.load_example(path)) for path in paths if path.exists()]

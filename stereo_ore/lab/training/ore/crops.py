@@ -18,10 +18,10 @@ ABOUT_A_LUMP, IN_CONTACT = 0.7, 0.5
 """Share of crops laid about a lump, and of those about one that others touch or hide."""
 CLOSEST = 3
 """Lumps farther apart than this [px] have no contact line between them."""
-SMALLEST = 14
+_SMALLEST = 14
 """Lumps of fewer pixels are not aimed at."""
 HEIGHT, NORMAL, RELIEF = 0, slice(1, 3), 3
-GEOMETRY, DOUBTS, GREY, TEXTURE = slice(0, 8), slice(5, 8), 8, 9
+_GEOMETRY, _DOUBTS, GREY, TEXTURE = slice(0, 8), slice(5, 8), 8, 9
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Seen:
     @cached_property
     def aims(self) -> tuple[I32, I32]:
         """Lumps to aim at, and those of them that others touch."""
-        large = np.flatnonzero(self.area > SMALLEST)
+        large = np.flatnonzero(self.area > _SMALLEST)
         large = large[large > 0]
         contact = np.bincount(
             self.example.lump.ravel(), self.line.ravel(), minlength=len(self.area)
@@ -65,7 +65,7 @@ class Seen:
         return large.astype(np.int32), touched.astype(np.int32)
 
 
-def crop(seen: Seen, rng: np.random.Generator) -> tuple[F32, F32]:
+def training_crop(seen: Seen, rng: np.random.Generator) -> tuple[F32, F32]:
     """Channels (C, SIDE, SIDE) and targets (7, SIDE, SIDE) of a random piece.
 
     Targets are ore, contact line, offset to the middle of what is seen of the lump (2) and
@@ -139,9 +139,9 @@ def _spoil(x: F32, f: float, rng: np.random.Generator) -> None:
         for _ in range(rng.integers(1, 6)):
             middle, axes = rng.integers(0, n, 2).tolist(), rng.integers(2, 20, 2).tolist()
             cv2.ellipse(gap, middle, axes, 0, 0, 360, 1, -1)
-        x[gap > 0, GEOMETRY] = 0
+        x[gap > 0, _GEOMETRY] = 0
     if rng.random() < 0.15:
-        x[..., DOUBTS] = x[..., 4:5] * np.array([1, 0, 1], np.float32)
+        x[..., _DOUBTS] = x[..., 4:5] * np.array([1, 0, 1], np.float32)
     if rng.random() < 0.35:
         x[..., GREY:] = 0
         return

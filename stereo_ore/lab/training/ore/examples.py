@@ -18,7 +18,7 @@ from stereo_ore.lab.synth.eye import depth_and_instance
 from stereo_ore.lab.synth.foreign import TOOL
 from stereo_ore.lab.synth.materials import Material, make_materials
 from stereo_ore.lab.synth.model import FIRST_LUMP, Model
-from stereo_ore.lab.synth.rig import eyes, ideal_rig, rectification
+from stereo_ore.lab.synth.rig import eyes, ideal_rig, reference_rectification
 from stereo_ore.lab.synth.scene import pair_of, site_of
 from stereo_ore.lab.synth.spec import SceneSpec
 from stereo_ore.lab.training.ore.piles import piles
@@ -61,7 +61,7 @@ def example_of(
     if seen.surface is None or seen.grizzly is None or seen.disparity is None:
         return None
     region, opening = seen.disparity.region, seen.grizzly.opening_m or 0.3
-    x = channels.measure(seen.disparity, seen.surface, seen.grizzly, opening, region).x
+    x = channels.measure_channels(seen.disparity, seen.surface, seen.grizzly, opening, region).x
     ore = (instance >= FIRST_LUMP) & (instance != TOOL)
     lump = np.where(ore, instance - FIRST_LUMP + 1, 0)[region.slices]
     size = x.shape[2], x.shape[1]
@@ -90,7 +90,7 @@ def of_seed(seed: int) -> Iterator[Example]:
 
 def _of_view(spec: SceneSpec, model: Model, materials: dict[str, Material]) -> Example | None:
     calibration = ideal_rig(spec)
-    rectified = rectification(calibration)
+    rectified = reference_rectification(calibration)
     T_screen_left = inverse(spec.T_world_screen) @ spec.camera.T_world_left
     left, right, straight = eyes(calibration, rectified, T_screen_left)
     instance = depth_and_instance(model, straight)[1]
@@ -98,14 +98,14 @@ def _of_view(spec: SceneSpec, model: Model, materials: dict[str, Material]) -> E
     return example_of(pair, calibration, site_of(spec, rectified), instance)
 
 
-def save(example: Example, path: Path) -> None:
+def save_example(example: Example, path: Path) -> None:
     """Write an example; a file that is there is whole."""
     part = path.with_suffix(".part.npz")
     np.savez(part, x=example.x, lump=example.lump)
     part.rename(path)
 
 
-def load(path: Path) -> Example:
+def load_example(path: Path) -> Example:
     """Read an example."""
     with np.load(path) as data:
         return Example(data["x"], data["lump"])

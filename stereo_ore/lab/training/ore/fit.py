@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from stereo_ore.lab.training.ore.crops import Seen, crop
+from stereo_ore.lab.training.ore.crops import Seen, training_crop
 from stereo_ore.lab.training.ore.net import LumpNet, loss_of
 
 BATCH = 12
@@ -25,7 +25,7 @@ SAVE_S = 120.0
 
 
 @dataclass
-class Course:
+class _Course:
     """How far a training is: its network, optimiser and averaged weights."""
 
     net: LumpNet
@@ -75,7 +75,8 @@ def train(
     def batch() -> tuple[Any, Any]:
         chosen = rng.choice(len(shares), BATCH, p=np.array(shares) / sum(shares))
         made = [
-            crop(examples[g][int(rng.integers(len(examples[g])))], rng) for g in map(int, chosen)
+            training_crop(examples[g][int(rng.integers(len(examples[g])))], rng)
+            for g in map(int, chosen)
         ]
         x, t = (torch.from_numpy(np.stack(column)) for column in zip(*made, strict=True))
         return x.contiguous(memory_format=torch.channels_last), t
@@ -87,7 +88,7 @@ def train(
             start = time.monotonic()
             x, t = following.result()
             if start - saved > SAVE_S:
-                save(course, checkpoint)
+                _save(course, checkpoint)
                 examples, saved = groups(), time.monotonic()
                 say(
                     f"{course.seconds:.0f} s, {course.step} steps, loss {np.mean(total):.4f}, "
@@ -97,16 +98,16 @@ def train(
             following = pool.submit(batch)
             total.append(_step(course, x, t, course.rate(minutes)))
             course.seconds += time.monotonic() - start
-    save(course, checkpoint)
+    _save(course, checkpoint)
     course.net.load_state_dict(course.average)
     course.net.eval()
     return course.net
 
 
-def _begin(checkpoint: Path) -> Course:
+def _begin(checkpoint: Path) -> _Course:
     net = LumpNet().to(memory_format=torch.channels_last)
     optimiser = torch.optim.AdamW(net.parameters(), RATE, weight_decay=DECAY)
-    course = Course(net, optimiser, {})
+    course = _Course(net, optimiser, {})
     if checkpoint.exists():
         state = torch.load(checkpoint)
         net.load_state_dict(state["net"])
@@ -117,7 +118,7 @@ def _begin(checkpoint: Path) -> Course:
     return course
 
 
-def save(course: Course, checkpoint: Path) -> None:
+def _save(course: _Course, checkpoint: Path) -> None:
     """Write the state, whole or not at all."""
     state = {
         "net": course.net.state_dict(),
@@ -131,7 +132,7 @@ def save(course: Course, checkpoint: Path) -> None:
     part.rename(checkpoint)
 
 
-def _step(course: Course, x: Any, t: Any, rate: float) -> float:
+def _step(course: _Course, x: Any, t: Any, rate: float) -> float:
     for group in course.optimiser.param_groups:
         group["lr"] = rate
     with torch.autocast("cpu", torch.bfloat16):

@@ -15,14 +15,14 @@ from stereo_ore.stages.segment import FEWEST, outputs, votes, whole
 from stereo_ore.stages.segment.outline import renumbered
 from stereo_ore.types import F32, F64, I32, U8, Mask
 
-Network = Callable[[F32], F32]
+_Network = Callable[[F32], F32]
 """Raw outputs (5, h, w) of channels (C, h, w)."""
 
-WANTED, CLOSE = 60, 2
+WANTED, _CLOSE = 60, 2
 """Pixels of a lump that must be found; lumps at most so far apart [px] touch."""
 GOOD = 0.5
 """Overlap with a true lump from which on a label is one."""
-KINDS = ("alone", "beside others", "mostly within others")
+_KINDS = ("alone", "beside others", "mostly within others")
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Named:
         return np.asarray(best, np.bool_)
 
 
-def named(network: Network, example: Example, config: SegmentConfig) -> Named:
+def named(network: _Network, example: Example, config: SegmentConfig) -> Named:
     """Labels as the chain would give them, before those that are no whole lump are dropped."""
     x = example.x.astype(np.float32)
     x[4] = x[4] > 0.5
@@ -80,12 +80,12 @@ def _rounded(values: F64) -> list[float]:
     return [float(f"{value:.5g}") for value in values]
 
 
-def quality(
+def ore_quality(
     rows: Iterable[tuple[Example, Named]], model: whole.Whole | None, limit: float
 ) -> dict[str, Any]:
     """Recall, false labels, mean overlap, and recall by how lumps lie, over examples."""
     wanted, given, false, overlaps = 0, 0, 0, []
-    kinds = {kind: [0, 0] for kind in KINDS}
+    kinds = {kind: [0, 0] for kind in _KINDS}
     for example, row in rows:
         keep = model.probability(row.features) > limit if model else np.ones(len(row.features)) > 0
         overlap = row.overlap[:, keep]
@@ -120,6 +120,6 @@ def _wanted(example: Example, lumps: Sequence[int]) -> Iterator[tuple[int, str]]
         rim = rim or ys.max() == lump.shape[0] - 1 or xs.max() == lump.shape[1] - 1
         if len(ys) < WANTED or rim:
             continue
-        ring = cv2.dilate(mine, np.ones((2 * CLOSE + 1,) * 2, np.uint8)) > mine
+        ring = cv2.dilate(mine, np.ones((2 * _CLOSE + 1,) * 2, np.uint8)) > mine
         others = float((lump[ring] > 0).mean())
-        yield row, KINDS[0 if others < 0.25 else 1 if others < 0.6 else 2]
+        yield row, _KINDS[0 if others < 0.25 else 1 if others < 0.6 else 2]

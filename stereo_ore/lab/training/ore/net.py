@@ -20,9 +20,9 @@ WIDTHS = (32, 64, 96, 96)
 """Features at strides 2, 4, 8 and 16."""
 EVEN_AREA, SMALL_AREA = 660.0, 36.0
 """A lump of so many pixels weighs 1 a pixel; what one sees of very small ones is doubtful."""
-LINE, OFFSET, SIZE = 5.0, 2.0, 0.3
+LINE, OFFSET, _SIZE = 5.0, 2.0, 0.3
 """What the losses of contact line, offset and size count beside that of ore."""
-BESIDE = 0.2
+_BESIDE = 0.2
 """What the contact line's loss counts where there is no ore."""
 
 
@@ -88,9 +88,9 @@ def loss_of(y: Any, t: Any) -> Any:
     away = functional.l1_loss(y[:, 2:4], offset, reduction="none").sum(1)
     away = away / torch.exp(size).clamp(0.2, 3).sqrt()
     sizes = functional.smooth_l1_loss(y[:, 4], size, reduction="none", beta=0.3)
-    lines = (entropy(1, line) * inside * (BESIDE + (1 - BESIDE) * ore)).mean()
+    lines = (entropy(1, line) * inside * (_BESIDE + (1 - _BESIDE) * ore)).mean()
     return (
-        (entropy(0, ore) * weight).mean() + LINE * lines + OFFSET * over(away) + SIZE * over(sizes)
+        (entropy(0, ore) * weight).mean() + LINE * lines + OFFSET * over(away) + _SIZE * over(sizes)
     )
 
 

@@ -23,13 +23,13 @@ from stereo_ore.lab.synth.model import (
 )
 from stereo_ore.lab.synth.rocks import PROPORTIONS, random_rotation, rock, roughness
 from stereo_ore.lab.synth.spec import SceneSpec
-from stereo_ore.lab.training.ore.tumble import Box, tumble
+from stereo_ore.lab.training.ore.tumble import TumbledBox, tumble
 from stereo_ore.types import F64
 
-EMPTY, GRID, MUD, FINES, TOOL, POST, ONE_COLOUR, DENTED = 0.1, 0.2, 0.25, 0.3, 0.2, 0.1, 0.2, 0.4
+EMPTY, _GRID, MUD, FINES, _TOOL, POST, ONE_COLOUR, DENTED = 0.1, 0.2, 0.25, 0.3, 0.2, 0.1, 0.2, 0.4
 """Shares of screens without lumps, of square grids, with mud, fines, a hammer, a post, all in one
 colour; and of lumps with saddles."""
-SMALLEST, LARGEST = 0.35, 3.2
+_SMALLEST, _LARGEST = 0.35, 3.2
 """Longest dimensions of lumps [openings]."""
 STONES = 250
 """Of the rubble below."""
@@ -76,7 +76,7 @@ def _view(seed: int, family: str, rng: np.random.Generator) -> SceneSpec:
 def _lumps(opening: float, rng: np.random.Generator) -> tuple[list[Mesh], list[str]]:
     """Lumps from small to large over a decade, the larger ones first more often than not."""
     count = 0 if rng.random() < EMPTY else int(np.exp(rng.uniform(np.log(10), np.log(85))))
-    low, high = sorted(np.exp(rng.uniform(np.log(SMALLEST), np.log(LARGEST), 2)))
+    low, high = sorted(np.exp(rng.uniform(np.log(_SMALLEST), np.log(_LARGEST), 2)))
     low, high = max(low, 0.75) if rng.random() < 0.6 else min(low, 0.8), max(high, 1.4)
     sizes = opening * np.exp(rng.uniform(np.log(low), np.log(high), count))
     order = np.argsort(-sizes * np.exp(rng.normal(0, 0.5, count)))
@@ -99,12 +99,12 @@ def _rock(longest: float, angular: bool, rng: np.random.Generator) -> Mesh:
     return Mesh(mesh.vertices - volume_and_centre(mesh)[1], mesh.triangles)
 
 
-def _furniture(spec: SceneSpec, rng: np.random.Generator) -> tuple[list[Part], list[Box]]:
+def _furniture(spec: SceneSpec, rng: np.random.Generator) -> tuple[list[Part], list[TumbledBox]]:
     """What else is on a screen, none of it ore; and what of it lumps come to rest on."""
     screen, parts = spec.screen, []
     half, width = np.array(screen.size) / 2, screen.bar_width / 2
     bars = [((x - width, -half[1]), (x + width, half[1])) for x in screen.bar_centres]
-    if rng.random() < GRID:
+    if rng.random() < _GRID:
         pitch = screen.bar_width + screen.opening * rng.uniform(0.9, 2.5)
         across = np.arange(-half[1] + pitch / 2, half[1], pitch)
         level = -rng.uniform(0, 0.02) * screen.opening
@@ -124,7 +124,7 @@ def _furniture(spec: SceneSpec, rng: np.random.Generator) -> tuple[list[Part], l
         solid.append((low, np.array([*mud.vertices[:, :2].max(0), level])))
     if rng.random() < FINES:
         parts.append(_part(_fines(screen, half, rng), "rubble", BACKGROUND))
-    if rng.random() < TOOL:
+    if rng.random() < _TOOL:
         parts.append(_part(_hammer(screen.opening, half, rng), "steel", BACKGROUND))
     if rng.random() < POST:
         at = rng.uniform(-1, 1, 2) * half

@@ -19,7 +19,7 @@ PARKED_M = 60.0
 OFF, LOST_M = 1.6, -0.6
 """Lumps farther out than so many spreads, or deeper than this [m], are gone."""
 
-Box = tuple[F64, F64]
+TumbledBox = tuple[F64, F64]
 """Lowest and highest corner of a fixed, axis-aligned body [m]."""
 Pose = tuple[F64, F64]
 """Rotation (3, 3) and position (3,) of a body."""
@@ -27,7 +27,7 @@ Pose = tuple[F64, F64]
 
 def tumble(
     meshes: Sequence[Mesh],
-    fixed: Sequence[Box],
+    fixed: Sequence[TumbledBox],
     spread: tuple[float, float],
     rng: np.random.Generator,
     stops: Sequence[int],
@@ -66,7 +66,7 @@ def tumble(
         yield _at_rest(data, meshes[:released], spread)
 
 
-def _world(meshes: Sequence[Mesh], fixed: Sequence[Box]) -> Any:
+def _world(meshes: Sequence[Mesh], fixed: Sequence[TumbledBox]) -> Any:
     import mujoco
 
     spec = mujoco.MjSpec()
