@@ -131,7 +131,7 @@ def test_schemas_are_printed_and_fit():
         jsonschema.validate({"opcua": {"prot": 4840}}, sinks)
     jsonschema.validate(json.loads(make_message().line()), json.loads(printed("schema", "targets")))
     assert "voxel" in json.loads(printed("schema"))["properties"]
-    assert json.loads(printed("schema", "frame"))["$id"] == "stereo_ore/frame/1"
+    assert json.loads(printed("schema", "frame"))["$id"] == "stereo_ore/frame/2"
 
 
 def test_the_table_in_the_docs_is_that_of_the_program():

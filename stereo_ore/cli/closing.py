@@ -7,10 +7,12 @@ from __future__ import annotations
 import logging
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
 
 import typer
 
-from stereo_ore.types import Json
+if TYPE_CHECKING:
+    from stereo_ore.types import Json
 
 _log = logging.getLogger(__name__)
 

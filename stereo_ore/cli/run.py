@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from stereo_ore.types import Json
-
 if TYPE_CHECKING:
     from stereo_ore.chain import Chain
     from stereo_ore.runs.run import Progress
+    from stereo_ore.types import Json
 
 _log = logging.getLogger(__name__)
 

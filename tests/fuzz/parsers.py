@@ -18,10 +18,10 @@ from stereo_ore.io.recordings.container import read_container
 from stereo_ore.io.recordings.frame_packing import packing_of
 from stereo_ore.io.recordings.images import read_image
 from stereo_ore.io.recordings.stamps import stamp_table
-from stereo_ore.io.results import Results
+from stereo_ore.io.results import Results, parse_record
 from stereo_ore.io.site import load_site
-from stereo_ore.plant.loop import position
 from stereo_ore.plant.sinks.settings import load_sinks, read_users
+from stereo_ore.runs.folder import whole_lines
 from stereo_ore.stages.matching import background
 
 CORPUS = Path(__file__).parent / "corpus"
@@ -94,7 +94,10 @@ def read_records(path: Path) -> object:
 
 
 def read_part(path: Path) -> object:
-    return position(path.parent)
+    """The last whole record of a run that grows."""
+    lines = enumerate(whole_lines(path), 1)
+    records = (parse_record(line.decode("utf-8", "replace"), path, n) for n, line in lines)
+    return list(records)[-1:]
 
 
 PARSERS = {
