@@ -46,12 +46,12 @@ def ore(
         "id": id, "points": 100, "pixels": 900, "cut": cut,
         "surface_centroid": {"camera": centre, "arm": None},
         "centre_of_gravity": {"camera": centre, "arm": [1, 2, 3], "sigma_m": [0.01, 0.02, 0.03],
-        "method": "test"},
+            "method": "test"},
         "volume_m3": 0.004, "volume_bounds_m3": [0.003, 0.005], "size_m": [0.3, 0.2, 0.1],
         "box": box,
         "oversize": oversize, "strike": plan if strike else None,
         "reasons": [] if strike else [{"code": "TOO_STEEP",
-        "detail": "no face within the permitted angle"}],
+            "detail": "no face within the permitted angle"}],
     }  # fmt: skip
 
 
@@ -68,7 +68,7 @@ def record(
         "status": status, "reasons": [], "units": "m", "camera_frame": "left_rectified",
         "arm_frame": "arm",
         "counts": counts, "grizzly": {"normal": [0, 0, -1.0], "offset_m": -1.0, "source": "site",
-        "rms_m": 0.002},
+            "rms_m": 0.002},
         "ores": ores, "targets": targets,
     } | more  # fmt: skip
 

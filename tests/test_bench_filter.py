@@ -49,10 +49,10 @@ def test_a_tuned_contender_shows_its_best_setting() -> None:
 
 
 def test_means_and_summary() -> None:
-    rows = bench.judge_filters([plane_with_outliers()] * 2,
-    [Contender("statistical", "statistical", thresholds=(1.0,)),
-                                                         Contender("adaptive",
-                                                         "none")])  # fmt: skip
+    rows = bench.judge_filters(
+        [plane_with_outliers()] * 2,
+        [Contender("statistical", "statistical", thresholds=(1.0,)), Contender("adaptive", "none")],
+    )
     cells = bench.means(rows)
     assert [(c["filter"], c["clouds"]) for c in cells] == [("statistical", 2), ("adaptive", 2)]
     summary = bench.summary(cells)

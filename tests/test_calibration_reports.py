@@ -158,15 +158,15 @@ KINDS = {
         {}, "equidistant", (0.02, -0.01, 0.003, 0.0004), (-60 / 799.1, 0, 0),
     ),
     "04-camera-info-d-lengths/plumb4/left.yaml": ({}, "pinhole", (-0.17, 0.03, 0.0001, 0.0002),
-    (-60 / 799.1, 0, 0)),
+        (-60 / 799.1, 0, 0)),
     "04-camera-info-d-lengths/plumb8/left.yaml": (
         {}, "pinhole", (-0.0306, 0.0352, -0.00014, -0.00015, -0.012), (-60 / 799.1, 0, 0),
     ),
     "04-camera-info-d-lengths/rational5/left.yaml": ({}, "pinhole", (-0.17, 0.03, 0.0001, 0.0002),
-    (-60 / 799.1, 0, 0)),
+        (-60 / 799.1, 0, 0)),
     "04-camera-info-d-lengths/rational12/left.yaml": (
         {}, "pinhole", (-4.12, 13.9, 0.0006, -0.0003, -12.1, -4.2, 14.2, -12.6, 0.001, -0.0002,
-        0.0003),
+            0.0003),
         (-60 / 799.1, 0, 0),
     ),
     "04-camera-info-d-lengths/rational14zeros/left.yaml": (
@@ -174,10 +174,10 @@ KINDS = {
         (-60 / 799.1, 0, 0),
     ),
     "04-camera-info-d-lengths/thinprism/left.yaml": ({"images": "rectified"}, "pinhole", (),
-    (-60 / 799.1, 0, 0)),
+        (-60 / 799.1, 0, 0)),
     "05-kitti-left-p/grey/left.yaml": ({}, "pinhole", (), (-387.5744 / 721.5377, 0, 0)),
     "05-kitti-left-p/colour/left.yaml": ({}, "pinhole", (),
-    (-(339.5242 + 44.85728) / 721.5377, 0, 0)),
+        (-(339.5242 + 44.85728) / 721.5377, 0, 0)),
 }  # fmt: skip
 
 

@@ -55,7 +55,7 @@ def _ore(scene: synth.Scene, lump: synth.LumpTruth, k: int, surface: np.ndarray)
         "volume_bounds_m3": [0.9 * lump.volume_m3, 1.1 * lump.volume_m3],
         "size_m": [lump.max_calliper, 0.1, 0.1],
         "oversize": lump.oversize, "strike": {"point": {"camera": point.tolist()},
-        "direction": {"camera": [0, 0, 1]}},
+            "direction": {"camera": [0, 0, 1]}},
     }  # fmt: skip
 
 

@@ -7,13 +7,18 @@ import cv2
 from stereo_ore.types import U8
 
 PNG_SETTINGS = [
-    cv2.IMWRITE_PNG_COMPRESSION, 1,
-    cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_DEFAULT,
+    cv2.IMWRITE_PNG_COMPRESSION,
+    1,
+    cv2.IMWRITE_PNG_STRATEGY,
+    cv2.IMWRITE_PNG_STRATEGY_DEFAULT,
     # Trying all filters a row, as OpenCV 5 does unasked, doubles the time and saves nothing; OpenCV
     # 4.10 has one only.
-    *((cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_UP) if hasattr(cv2,
-    "IMWRITE_PNG_FILTER") else ()),
-]  # fmt: skip
+    *(
+        (cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_UP)
+        if hasattr(cv2, "IMWRITE_PNG_FILTER")
+        else ()
+    ),
+]
 """Fast rather than small: an overlay is looked at, then thrown away."""
 
 

@@ -135,10 +135,11 @@ def _confirmed(record: Json, before: F64) -> Json:
     """The record without targets that the frame before did not show: what flies is elsewhere in
     each.
     """
-    new = [id for id, middle in zip((ore["id"] for ore in record["ores"]), _middles(record),
-    strict=True)
-           if not (np.linalg.norm(before - middle, axis=1) < max(SAME_M,
-           SAME_SHARE * middle[2])).any()]  # fmt: skip
+    new = [
+        id
+        for id, middle in zip((ore["id"] for ore in record["ores"]), _middles(record), strict=True)
+        if not (np.linalg.norm(before - middle, axis=1) < max(SAME_M, SAME_SHARE * middle[2])).any()
+    ]
     if not set(new) & set(record["targets"]):
         return record
     reason = {

@@ -25,9 +25,14 @@ from stereo_ore.io.calibration.geometry import from_vector, make_calibration
 from stereo_ore.transforms import inverse
 from stereo_ore.types import F64, CameraModel, StereoCalibration
 
-_EYES = (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"), ("camera-0", "camera-1"),
-("camera0", "camera1"),
-         ("cam0", "cam1"))  # fmt: skip
+_EYES = (
+    ("left", "right"),
+    ("Left", "Right"),
+    ("LEFT", "RIGHT"),
+    ("camera-0", "camera-1"),
+    ("camera0", "camera1"),
+    ("cam0", "cam1"),
+)
 LENSES = {f"LENSMODEL_OPENCV{n}": n for n in (4, 5, 8, 12)} | {"LENSMODEL_PINHOLE": 0}
 _KNOWN = (
     "lensmodel",

@@ -49,9 +49,11 @@ def format_of(path: Path) -> str:
     """The format a file's name stands for; CloudError for an unknown one."""
     suffix = path.suffix.lower()
     if suffix not in CLOUD_FORMATS:
-        raise CloudError(f"{suffix or 'a name without an ending'} is no known cloud format",
-        file=path,
-                         remedy=f"Use one of {', '.join(CLOUD_FORMATS)}")  # fmt: skip
+        raise CloudError(
+            f"{suffix or 'a name without an ending'} is no known cloud format",
+            file=path,
+            remedy=f"Use one of {', '.join(CLOUD_FORMATS)}",
+        )
     return suffix
 
 

@@ -179,8 +179,14 @@ RAW_FAULTS: dict[str, _Fault] = {
     "rotation transposed": _rotation(lambda v: -v),
     "convergence (CV) off by 0.4°": _rotation(lambda v: v + np.radians([0, 0.4, 0])),
     "lenses exchanged": _calibration(lambda c: replace(c, left=c.right, right=c.left)),
-    "taken for rectified": _calibration(lambda c: replace(c, images="rectified",
-    R_right_left=np.eye(3),
-        left=replace(c.left, distortion=()), right=replace(c.left, distortion=()))),
-}  # fmt: skip
+    "taken for rectified": _calibration(
+        lambda c: replace(
+            c,
+            images="rectified",
+            R_right_left=np.eye(3),
+            left=replace(c.left, distortion=()),
+            right=replace(c.left, distortion=()),
+        )
+    ),
+}
 """Misreadings of the calibration of raw images."""

@@ -73,11 +73,17 @@ def scene(spec: SceneSpec | int, family: str = "large", size: str = "HD720") -> 
     depth, instance = depth_and_instance(model, straight)
     raw_depth, raw_instance = depth_and_instance(model, left) if spec.raw else (depth, instance)
     return Scene(
-        spec, pair_of(spec, model, left, right), calibration, site_of(spec, rectified), rectified,
-        depth, instance,
-        raw_depth, raw_instance, lump_truths(spec, model, left, straight, raw_depth, raw_instance,
-        instance),
-    )  # fmt: skip
+        spec,
+        pair_of(spec, model, left, right),
+        calibration,
+        site_of(spec, rectified),
+        rectified,
+        depth,
+        instance,
+        raw_depth,
+        raw_instance,
+        lump_truths(spec, model, left, straight, raw_depth, raw_instance, instance),
+    )
 
 
 def pair_of(

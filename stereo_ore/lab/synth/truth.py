@@ -74,17 +74,28 @@ def lump_truths(
         volume, centre = volume_and_centre(lump.mesh)
         dims, longest, shortest = callipers(_coarser(lump.mesh))
         seen = instance == id_
-        found.append(LumpTruth(
-            id_, lump.shape, lump.ore, volume, transform_points(spec.T_world_screen, centre),
-            transform_points(inverse(left.T_screen_eye), centre),
-            transform_points(inverse(straight.T_screen_eye), centre),
-            int(seen.sum()), int((instance_rectified == id_).sum()), _unoccluded(lump.mesh, left),
-            _at_border(seen),
-            _bounds(seen), (float(depth[seen].min()),
-            float(depth[seen].max())) if seen.any() else None,
-            dims, longest, shortest, bool(dims[1] > spec.screen.opening),
-            tuple(FIRST_LUMP + j for j in touches[k]),
-        ))  # fmt: skip
+        found.append(
+            LumpTruth(
+                id_,
+                lump.shape,
+                lump.ore,
+                volume,
+                transform_points(spec.T_world_screen, centre),
+                transform_points(inverse(left.T_screen_eye), centre),
+                transform_points(inverse(straight.T_screen_eye), centre),
+                int(seen.sum()),
+                int((instance_rectified == id_).sum()),
+                _unoccluded(lump.mesh, left),
+                _at_border(seen),
+                _bounds(seen),
+                (float(depth[seen].min()), float(depth[seen].max())) if seen.any() else None,
+                dims,
+                longest,
+                shortest,
+                bool(dims[1] > spec.screen.opening),
+                tuple(FIRST_LUMP + j for j in touches[k]),
+            )
+        )
     return tuple(found)
 
 

@@ -132,11 +132,16 @@ def acknowledged(registers: list[int]) -> tuple[int, int]:
 def rows() -> list[tuple[int, str, str, str, str]]:
     """The table for people and for engineering tools: address, type, name, unit, meaning."""
     slots = [
-        Register(HEAD_WORDS + slot * SLOT_WORDS + register.address, register.code,
-        f"target_{slot + 1}.{register.name}",
-                 register.unit, register.text)
-        for slot in range(MODBUS_SLOTS) for register in SLOT
-    ]  # fmt: skip
+        Register(
+            HEAD_WORDS + slot * SLOT_WORDS + register.address,
+            register.code,
+            f"target_{slot + 1}.{register.name}",
+            register.unit,
+            register.text,
+        )
+        for slot in range(MODBUS_SLOTS)
+        for register in SLOT
+    ]
     types = {"H": "uint16", "I": "uint32", "i": "int32", "f": "float32"}
     return [
         (r.address, types[r.code], r.name, r.unit, r.text)

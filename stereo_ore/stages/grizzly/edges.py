@@ -78,9 +78,10 @@ def _slope(surface: Surface, across: F32) -> F32:
     grey = cv2.GaussianBlur(
         cv2.cvtColor(surface.bgr, cv2.COLOR_BGR2GRAY).astype(np.float32), (0, 0), 1.0
     )
-    (grey_x, grey_y), (x, y) = ([cv2.Sobel(image, cv2.CV_32F, i, 1 - i, scale=1 / 8) for i in (1,
-    0)]
-                                for image in (grey, across))  # fmt: skip
+    (grey_x, grey_y), (x, y) = (
+        [cv2.Sobel(image, cv2.CV_32F, i, 1 - i, scale=1 / 8) for i in (1, 0)]
+        for image in (grey, across)
+    )
     slope = (grey_x * x + grey_y * y) / np.maximum(np.hypot(x, y), np.float32(1e-9))
     return np.asarray(np.clip(slope, -STRONGEST, STRONGEST), np.float32)
 
