@@ -174,7 +174,7 @@ def test_nothing_of_a_run_needs_the_extra() -> None:
     code = (
         "import sys; sys.modules['torch'] = sys.modules['mujoco'] = sys.modules['onnx'] = None;"
         "from stereo_ore.stages import segment; import numpy as np;"
-        "print(segment.load()(np.zeros((10, 32, 48), np.float32)).shape)"
+        "print(segment.load_lump_model()(np.zeros((10, 32, 48), np.float32)).shape)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "(5, 32, 48)"

@@ -13,8 +13,8 @@ NAME = re.compile(r"\.?(\d{6,})_(\d{4}-\d\d-\d\d)", re.ASCII)
 
 
 def name(number: int, day: str) -> str:
-    """The folder's name of segment `segment_number`, begun on `day` (``2026-11-30``)."""
-    return f"{segment_number:06d}_{day}"
+    """The folder's name of segment `number`, begun on `day` (``2026-11-30``)."""
+    return f"{number:06d}_{day}"
 
 
 def closed(folder: Path) -> list[Path]:
