@@ -31,6 +31,8 @@ _log = logging.getLogger(__name__)
 
 RECENT = 1000
 """Frames of a run that goes on, by which the next is judged."""
+_ONE_SOURCE = "give one of SOURCE, --watch, --camera and --ros2"
+"""What is wrong with none of them, and with two."""
 
 
 class Age(StrEnum):
@@ -332,12 +334,12 @@ def _open(
             return open_camera(camera, calibration.image_size), calibration
     if calib is None and source is None:
         raise typer.BadParameter("--calib is needed: only a bag can carry its own calibration")
-    raise typer.BadParameter("give one of SOURCE, --watch, --camera and --ros2")
+    raise typer.BadParameter(_ONE_SOURCE)
 
 
 def _only_topics(*others: object) -> None:
     if any(other is not None for other in others):
-        raise typer.BadParameter("give one of SOURCE, --watch, --camera and --ros2")
+        raise typer.BadParameter(_ONE_SOURCE)
 
 
 def _own_calibration(
