@@ -64,6 +64,8 @@ class Network:
         """The network whose last features are known to be `values`: their share goes into the
         bias.
         """
+        if not len(values):
+            return self
         own = len(self.mean) - len(values)
         share = (
             (values - np.array(self.mean[own:]))
