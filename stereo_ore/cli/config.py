@@ -10,6 +10,8 @@ from typing import Annotated, Literal
 
 import typer
 
+from stereo_ore.cli.options import Settings
+
 
 def register(app: typer.Typer) -> None:
     """Add the verb to the command line."""
@@ -25,9 +27,7 @@ def dump(
     config: Annotated[
         Path | None, typer.Argument(help="File whose values replace the defaults.")
     ] = None,
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", help="One parameter: key.sub=value.")
-    ] = None,
+    settings: Settings = None,
 ) -> None:
     """Print all parameters as commented YAML, ready to edit.
 

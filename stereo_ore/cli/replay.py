@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
+from stereo_ore.cli.options import ModbusPort, MqttPort, OpcUaPort, SinksFile, TcpPort, ValidFor
 from stereo_ore.cli.ros2 import Ros2Out, topics_out
-from stereo_ore.cli.serve import ModbusPort, MqttPort, OpcUaPort, SinksFile, TcpPort, ValidFor
 
 
 def register(app: typer.Typer) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from stereo_ore.cli.calibrate.options import writing
+from stereo_ore.cli.options import ParameterFile
 
 if TYPE_CHECKING:
     from stereo_ore.types import RectifiedPair, StereoCalibration
@@ -19,9 +20,6 @@ Recorded = Annotated[
 ]
 Calib = Annotated[
     Path | None, typer.Option("--calib", help="Calibration of the recording; a bag has its own.")
-]
-Parameters = Annotated[
-    Path | None, typer.Option("--config", help="Parameters that differ from the defaults.")
 ]
 Frames = Annotated[int, typer.Option(min=1, max=100, help="How many frames, from the first.")]
 
@@ -42,7 +40,7 @@ def make(
         Path | None,
         typer.Option("--site", help="Site file whose arm, reach and keep_out are taken over."),
     ] = None,
-    config: Parameters = None,
+    config: ParameterFile = None,
     opening_m: Annotated[
         float | None, typer.Option(min=0.005, max=3, help="Clear distance of two bars, measured.")
     ] = None,
@@ -106,7 +104,7 @@ def check(
     site: Annotated[Path, typer.Argument(help="Site file.")],
     source: Recorded,
     calib: Calib = None,
-    config: Parameters = None,
+    config: ParameterFile = None,
     frames: Frames = 8,
 ) -> None:
     """Find the screen anew and compare; ends with 3 where the site file says something else.
