@@ -60,6 +60,12 @@ ModbusPort = Annotated[
     int | None,
     typer.Option("--modbus", min=1, max=65535, help="Serve Modbus TCP on this loopback port."),
 ]
+FoxglovePort = Annotated[
+    int | None,
+    typer.Option(
+        "--foxglove", min=0, max=65535, help="Show clouds, ores, targets to Foxglove on this port."
+    ),
+]
 ValidFor = Annotated[
     float,
     typer.Option("--valid-for", min=0.1, max=60, help="Seconds for which a frame's targets hold."),

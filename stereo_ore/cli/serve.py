@@ -18,6 +18,7 @@ import typer
 
 from stereo_ore.cli.options import (
     Clouds,
+    FoxglovePort,
     LeftTopic,
     MaxSkew,
     ModbusPort,
@@ -124,6 +125,7 @@ def serve(
     tcp: TcpPort = None,
     modbus: ModbusPort = None,
     ros2_out: Ros2Out = False,
+    foxglove: FoxglovePort = None,
     size: Annotated[
         str | None,
         typer.Option(
@@ -193,7 +195,9 @@ def serve(
     from stereo_ore.runs.identity import InputFiles, description, write_inputs
 
     limits = parse_limits(keep or ())
-    consumer_settings = load_sinks(sinks, opcua=opcua, mqtt=mqtt, tcp=tcp, modbus=modbus)
+    consumer_settings = load_sinks(
+        sinks, opcua=opcua, mqtt=mqtt, tcp=tcp, modbus=modbus, foxglove=foxglove
+    )
     consumer_settings = with_ros2(consumer_settings) if ros2_out else consumer_settings
     parameters = parameters_of(config, settings, models)
     eye, most = _size(size), parameters.source.max_pixels
