@@ -15,6 +15,7 @@ from stereo_ore.config.fields import Number, Section
 from stereo_ore.config.validation import validate
 from stereo_ore.errors import ConfigError
 from stereo_ore.io import keep_out as places
+from stereo_ore.io.posture import PostureSection, posture_document
 from stereo_ore.io.yaml_io import load_yaml
 from stereo_ore.transforms import inverse, nearest_rotation, rotate, rotation_fault
 from stereo_ore.types import F64, Plane, Site, Survey, Volume
@@ -101,6 +102,7 @@ class _File(Section):
     keep_out: Annotated[tuple[places.Entry, ...], Field(max_length=64)] = ()
     hand_eye: HandEyeRecord | None = None
     survey: SurveyRecord | None = None
+    posture: PostureSection | None = None
 
 
 def load_site(path: str | Path) -> Site:
@@ -154,6 +156,8 @@ def _faults(file: _File) -> list[str]:
         found.append(
             "working_volume: is in the screen's frame, but screen_from_camera is not given"
         )
+    if file.posture and file.arm_from_camera is None:
+        found.append("posture: is in the arm frame, but arm_from_camera is not given")
     found += places.faults(file.keep_out, file.arm_from_camera is not None)
     return found
 
@@ -234,6 +238,7 @@ def _site(file: _File, path: Path) -> Site:
         reach_max_m=None if reach is None else np.array(reach.max_m),
         survey=_survey(file.survey),
         keep_out=tuple(places.in_camera(entry, T_arm_camera) for entry in file.keep_out),
+        posture=file.posture.link(path.parent) if file.posture else None,
     )
 
 
@@ -315,6 +320,9 @@ def save_site(
         document["reach"] = _box(site.reach_min_m, site.reach_max_m)
     if site.keep_out:
         document["keep_out"] = [places.document(place) for place in site.keep_out]
+    if link := site.posture:
+        file = None if link.file is None else _relative(link.file, path.parent)
+        document["posture"] = posture_document(link, file)
     for key, record in (("hand_eye", hand_eye), ("survey", survey)):
         if record is not None:
             document[key] = record.model_dump(mode="json")

@@ -41,7 +41,16 @@ from stereo_ore.types.results import (
     Strike,
     StrikePlan,
 )
-from stereo_ore.types.site import Capsule, KeepOut, Polygon, Site, Survey
+from stereo_ore.types.site import (
+    Capsule,
+    KeepOut,
+    Polygon,
+    Posture,
+    PostureLink,
+    Postures,
+    Site,
+    Survey,
+)
 from stereo_ore.types.stages import (
     Background,
     Bars,
@@ -92,6 +101,9 @@ __all__ = [
     "Plane",
     "PointCloud",
     "Polygon",
+    "Posture",
+    "PostureLink",
+    "Postures",
     "Reason",
     "RectifiedPair",
     "Region",

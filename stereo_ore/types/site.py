@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -53,10 +53,39 @@ class Polygon:
 
 @dataclass(frozen=True)
 class KeepOut:
-    """A named place where nothing is ore: a body (camera frame) or a part of the image."""
+    """A named place where nothing is ore: a body (camera frame) or a part of the image; who says
+    so.
+    """
 
     name: str
     body: Volume | Capsule | Polygon
+    source: Literal["site", "arm"] = "site"
+
+
+@dataclass(frozen=True, eq=False)
+class Posture:
+    """Where the arm's parts were at a time [ns since 1970], camera frame."""
+
+    stamp_ns: int
+    bodies: tuple[KeepOut, ...]
+
+
+class Postures(Protocol):
+    """What tells of the arm's posture."""
+
+    def around(self, stamp_ns: int) -> tuple[Posture, ...]:
+        """The last posture at or before a time and the first after it, where there are any."""
+
+
+@dataclass(frozen=True)
+class PostureLink:
+    """Where postures come from, a file or an address to listen on, and how far [s] one may be from
+    a frame.
+    """
+
+    max_age_s: float
+    file: Path | None = None
+    listen: tuple[str, int] | None = None
 
 
 @dataclass(frozen=True)
@@ -89,6 +118,7 @@ class Site:
     reach_max_m: F64 | None = None
     keep_out: tuple[KeepOut, ...] = ()
     survey: Survey | None = None
+    posture: PostureLink | None = None
 
     def __post_init__(self) -> None:
         if self.T_arm_camera is not None:
