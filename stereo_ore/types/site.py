@@ -12,6 +12,9 @@ import numpy.typing as npt
 from stereo_ore.types.arrays import F64, Mask, check_shape
 from stereo_ore.types.geometry import Plane, Volume
 
+BarProfile = Literal["flat", "round"]
+"""What a bar's top is like; rails and rounds are measured on their ridge alone."""
+
 
 @dataclass(frozen=True)
 class Capsule:
@@ -105,7 +108,9 @@ class Site:
     """Where the camera looks, and the arm; every part may be unknown (None). Plane and volume and
     the bodies of `keep_out` are in the camera frame.
 
-    `reach_min_m` and `reach_max_m` (3,) bound the tool's tip in the arm frame.
+    `opening_m` is the clear distance of the bars, `cross_opening_m` that of bars across them, in a
+    grid; None where there are none or nobody has said so. `reach_min_m` and `reach_max_m` (3,)
+    bound the tool's tip in the arm frame.
     """
 
     T_arm_camera: F64 | None = None
@@ -119,6 +124,8 @@ class Site:
     keep_out: tuple[KeepOut, ...] = ()
     survey: Survey | None = None
     posture: PostureLink | None = None
+    cross_opening_m: float | None = None
+    bar_profile: BarProfile = "flat"
 
     def __post_init__(self) -> None:
         if self.T_arm_camera is not None:
