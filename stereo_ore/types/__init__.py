@@ -42,6 +42,7 @@ from stereo_ore.types.results import (
     StrikePlan,
 )
 from stereo_ore.types.site import (
+    BarProfile,
     Capsule,
     KeepOut,
     Polygon,
@@ -84,6 +85,7 @@ __all__ = [
     "RELIEF_WINDOWS_PX",
     "U8",
     "Background",
+    "BarProfile",
     "Bars",
     "CameraModel",
     "Capsule",

@@ -217,8 +217,8 @@ class Grizzly:
     """The screen: plane of the bar tops, where it came from, its residual, and the bars when they
     are known.
 
-    `opening_m` is the clear distance between the bars, `cross_opening_m` that between bars that run
-    across them, in a grid.
+    `opening_m` is the clear distance between the bars, `cross_opening_m` that between the bars that
+    run across them in a grid, `cross_bars`.
     """
 
     plane: Plane
@@ -229,6 +229,7 @@ class Grizzly:
     diagnostics: Mapping[str, Any] = field(default_factory=dict)
     registration: Registration | None = None
     cross_opening_m: float | None = None
+    cross_bars: Bars | None = None
 
     @property
     def openings_m(self) -> tuple[float, ...] | None:
