@@ -124,6 +124,7 @@ def run(
     from stereo_ore.chain import Chain
     from stereo_ore.cli.recording import calibration_for, open_for_command
     from stereo_ore.draw.figures import require_matplotlib
+    from stereo_ore.io.posture import recorded_postures
     from stereo_ore.io.recordings import describe_recording, expect_eyes, limit_pixels
     from stereo_ore.io.recordings.retimed import parse_time, retime
     from stereo_ore.io.site import load_site
@@ -147,7 +148,8 @@ def run(
     _log.info("%s", describe_recording(recording))
     recording = expect_eyes(recording, calibration.image_size)
     recording = retime(recording, None if start_time is None else parse_time(start_time), fps)
-    chain = Chain(calibration, load_site(site) if site else None, parameters)
+    place = load_site(site) if site else None
+    chain = Chain(calibration, place, parameters, recorded_postures(place))
     _log.info("%s", _frames(len(select(recording, chain, options))))
     announce(chain)
     with _progress() as progress:

@@ -186,6 +186,7 @@ def serve(
     from stereo_ore.plant.live_files import LiveFiles
     from stereo_ore.plant.live_folder import LiveFolder
     from stereo_ore.plant.loop import processing
+    from stereo_ore.plant.posture import postures_of
     from stereo_ore.plant.retention import Retention, parse_limits
     from stereo_ore.plant.sinks.message import Origin, new_session, transform_id
     from stereo_ore.plant.sinks.settings import load_sinks, open_sinks, with_ros2
@@ -193,6 +194,7 @@ def serve(
     from stereo_ore.runs.driver import Driver
     from stereo_ore.runs.history import Watch
     from stereo_ore.runs.identity import InputFiles, description, write_inputs
+    from stereo_ore.types import Site
 
     limits = parse_limits(keep or ())
     consumer_settings = load_sinks(
@@ -207,7 +209,8 @@ def serve(
         frames, calibration = open_live((left_topic, right_topic), max_skew_ms, calib, eye, most)
     else:
         frames, calibration = _open(source, watched, camera, calib, eye, most)
-    chain = Chain(calibration, load_site(site) if site else None, parameters)
+    place = load_site(site) if site else Site()
+    chain = Chain(calibration, place, parameters)
     announce(chain)
     origin = Origin(new_session(), transform_id(chain.site.T_arm_camera))
     consumers = open_sinks(consumer_settings, origin)
@@ -218,11 +221,12 @@ def serve(
     about = description(frames.name, chain, inputs, **_own_calibration(ros2, calib, calibration))
     with (
         _alone(watch),
+        postures_of(place) as chain.postures,
         LiveFolder(
             out, about, lambda: write_inputs(out, chain, inputs), overwrite=overwrite
         ) as folder,
     ):
-        watcher = Watch(parameters.health, folder.recent(RECENT))
+        watcher = Watch(parameters, chain.site, folder.recent(RECENT))
         files = LiveFiles(out, clouds=clouds, overlays=overlays)
         process = processing(Driver(chain, files, unattended=True), watcher)
         live = Live(frames, process, folder, consumers, origin, valid_for)

@@ -44,6 +44,12 @@ def make(
     opening_m: Annotated[
         float | None, typer.Option(min=0.005, max=3, help="Clear distance of two bars, measured.")
     ] = None,
+    cross_opening_m: Annotated[
+        float | None,
+        typer.Option(
+            min=0.005, max=3, help="That of the bars across, in a grid; with --opening-m."
+        ),
+    ] = None,
     bar_width_m: Annotated[
         float | None, typer.Option(min=0.001, max=1, help="Width of a bar, measured.")
     ] = None,
@@ -71,10 +77,13 @@ def make(
     from stereo_ore.types import Site
 
     calibration = calibration_for(open_source(source), calib)
+    if cross_opening_m is not None and opening_m is None:
+        raise typer.BadParameter("give --opening-m with --cross-opening-m")
     known = load_site(base) if base else Site()
     known = replace(
         known,
         opening_m=known.opening_m if opening_m is None else opening_m,
+        cross_opening_m=known.cross_opening_m if cross_opening_m is None else cross_opening_m,
         bar_width_m=known.bar_width_m if bar_width_m is None else bar_width_m,
     )
     found = survey(_pairs(source, calibration, frames), known, load_config(config, ()), height_m)
