@@ -21,6 +21,7 @@ from stereo_ore.config import Config
 from stereo_ore.record import to_line
 from stereo_ore.runs.folder import FrameLines
 from stereo_ore.runs.tracks import Tracks
+from stereo_ore.threads import pool
 from stereo_ore.types import U8, FrameResult, Json, Reason, Site
 
 FEWEST_GOOD = 5
@@ -29,7 +30,8 @@ FEWEST_GOOD = 5
 
 def fingerprints(result: FrameResult) -> list[str] | None:
     """A short digest of the pixels of each eye; None for a frame without images."""
-    return None if result.pair is None else [_digest(result.pair.left), _digest(result.pair.right)]
+    pair = result.pair
+    return None if pair is None else list(pool().map(_digest, (pair.left, pair.right)))
 
 
 def _digest(image: U8) -> str:
