@@ -194,7 +194,10 @@ def test_a_part_can_not_be_monitored_and_the_rest_can(sink: OpcUaSink, arm: Arm)
 
 def test_arrays_tell_their_rank_and_length(sink: OpcUaSink, arm: Arm):
     lengths = {"Position": 48, "Direction": 48, "Size": 48, "Sigma": 48, "Reasons": 0}
-    lengths |= dict.fromkeys(("SequenceNumber", "Id", "Oversize", "Score", "Volume"), OPCUA_SLOTS)
+    lengths["Foreign"] = 0
+    lengths |= dict.fromkeys(
+        ("SequenceNumber", "Id", "Oversize", "Score", "Volume", "Track"), OPCUA_SLOTS
+    )
     for name, variable in VARIABLES.items():
         found = arm.client.get_node(arm.id(name))
         assert found.read_value_rank() == (1 if name in lengths else -1)

@@ -25,9 +25,10 @@ _Vector = tuple[float, float, float]
 class Target:
     """One lump to strike, best first: arm frame, metres.
 
-    `direction` is the unit vector the tool moves along; `size_m` longest, middle and shortest
-    dimension; `sigma_m` the standard deviations of the centre of gravity along the axes of the
-    camera.
+    `rank` is its place in the order, 1 first; `track` the lump's number in the run, the same in
+    each frame that shows it, where that is known. `direction` is the unit vector the tool moves
+    along; `size_m` longest, middle and shortest dimension; `sigma_m` the standard deviations of the
+    centre of gravity along the axes of the camera.
     """
 
     id: int
@@ -38,6 +39,8 @@ class Target:
     score: float
     volume_m3: float | None = None
     sigma_m: _Vector | None = None
+    rank: int = 1
+    track: int | None = None
 
 
 @dataclass(frozen=True)
@@ -56,7 +59,8 @@ class Origin:
 
 @dataclass(frozen=True)
 class Message:
-    """The targets of one frame, or that there are none; `deadline` is on this process's monotonic
+    """The targets of one frame, or that there are none, and names of foreign bodies in view;
+    `deadline` is on this process's monotonic
     clock [s], `age_s` how old the frame was when it was published.
     """
 
@@ -73,6 +77,7 @@ class Message:
     deadline: float = 0.0
     stamp_source: str | None = None
     age_s: float | None = None
+    foreign: tuple[str, ...] = ()
 
     @property
     def valid(self) -> bool:
@@ -186,6 +191,7 @@ def message(
         targets=targets,
         deadline=time.monotonic() + remaining_s,
         age_s=round(age_s, 3),
+        foreign=tuple(body["name"] for body in record.get("foreign", ())),
     )
     return whole.current()
 
@@ -197,12 +203,12 @@ def _targets(record: JsonMapping) -> tuple[tuple[Target, ...], tuple[str, ...]]:
     if record["arm_frame"] is None:
         return (), ("NO_ARM_FRAME",)
     ores = {ore["id"]: ore for ore in record["ores"]}
-    found = tuple(_target(ores[id]) for id in record["targets"])
+    found = tuple(_target(ores[id], rank) for rank, id in enumerate(record["targets"], 1))
     usable = tuple(target for target in found if target)
     return usable, () if len(usable) == len(found) else ("TARGET_INCOMPLETE",)
 
 
-def _target(ore: JsonMapping) -> Target | None:
+def _target(ore: JsonMapping, rank: int) -> Target | None:
     """None for an ore whose strike is not fully known: half a target is none."""
     strike = ore["strike"]
     if strike is None:
@@ -215,7 +221,8 @@ def _target(ore: JsonMapping) -> Target | None:
     centre = ore["centre_of_gravity"]
     sigma = centre and centre["sigma_m"] and tuple(centre["sigma_m"])
     plan = tuple(point), tuple(direction), size, ore["oversize"], strike["score"]
-    return Target(ore["id"], *plan, ore["volume_m3"], sigma)
+    track = ore.get("track") and ore["track"]["number"]
+    return Target(ore["id"], *plan, ore["volume_m3"], sigma, rank, track)
 
 
 def transform_id(T_arm_camera: F64 | None) -> str | None:
