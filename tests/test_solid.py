@@ -309,6 +309,7 @@ def test_a_hole_stops_what_no_turn_lets_through(
 
 
 @given(st.floats(0.05, 1), st.floats(0.05, 1), st.floats(0.1, 1), st.floats(0.1, 1))
+@settings(deadline=None)
 def test_an_ellipse_passes_a_rectangle_at_some_turn_or_not(
     one: float, other: float, a: float, b: float
 ) -> None:
