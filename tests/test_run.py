@@ -135,6 +135,8 @@ def test_equal_frames_give_equal_ores(
     finished: tuple[Path, subprocess.CompletedProcess[str]],
 ) -> None:
     first, second, _, _ = records(finished[0])
+    for frames, record in enumerate((first, second), 1):
+        assert {ore.pop("track")["frames"] for ore in record["ores"]} == {frames}
     assert first["ores"] == second["ores"]
     assert first["targets"] == second["targets"]
 

@@ -33,6 +33,9 @@ BELOW, _ABOVE = 0.5, 4.0
 
 PLANE_OPENINGS, PLANE_DEG = 0.1, 1.5
 """How far a site's plane may be from the one surveyed."""
+_BEYOND = 1.25
+"""How far the surveyed screen may reach out of a site's volume [openings]: it is seen with what of
+its frame lies in the bars' plane."""
 
 
 @dataclass(frozen=True)
@@ -186,7 +189,7 @@ def differences(given: Site, found: Site) -> Iterator[Difference]:
 
     The plane may be off by a tenth of an opening in the middle of the screen, as frames may
     (`health.max_bar_shift`), and by 1.5°; the volume must hold the screen that
-    is seen to an opening.
+    is seen, to `_BEYOND` openings.
     """
     opening = found.opening_m
     assert opening is not None, "a survey has an opening"
@@ -201,7 +204,7 @@ def differences(given: Site, found: Site) -> Iterator[Difference]:
         place = f"{1000 * off:+.0f} mm and {tilt:.2f}° off"
         yield Difference("plane of the bar tops", "0 mm and 0°", place, ok)
     if given.volume is not None:
-        inside = corners + opening * _inwards(corners)
+        inside = corners + _BEYOND * opening * _inwards(corners)
         held = int(given.volume.contains(inside).sum())
         yield Difference("corners in the working volume", "4", str(held), held == len(corners))
 
