@@ -112,7 +112,8 @@ def restored(onnx: bytes, batches: Iterable[Any]) -> LumpNet:
 
     graph = onnx_files.load_from_string(onnx).graph
     stored = {t.name: torch.tensor(onnx_files.numpy_helper.to_array(t)) for t in graph.initializer}
-    net = LumpNet().eval()
+    net = LumpNet()
+    net.eval()
     net.out.load_state_dict({name: stored[f"out.{name}"] for name in ("weight", "bias")})
     norms = []
     for name, block in net.named_modules():
