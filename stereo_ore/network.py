@@ -16,10 +16,6 @@ SMALL = 2**18
 threads of its own, which cost far more."""
 
 
-_WIDE = 512
-"""Columns of such a product, likewise."""
-
-
 @dataclass(frozen=True)
 class Network:
     """One hidden layer of rectified units: p = 1 / (1 + exp(−(w₂·max(0, W₁ᵀ(f − mean)/scale + b₁) +
@@ -40,11 +36,10 @@ class Network:
     def judge(self, features: F32) -> F32:
         """Probability (n,) of few (n, F) features, on the calling thread."""
         weights, bias, out = self._arrays
-        rows = max(SMALL // weights.size, 1)
-        hidden = np.concatenate([features[few] @ weights for few in chunks(len(features), rows)])
-        logit = np.einsum("ij,j->i", np.maximum(hidden + bias, 0), out) + np.float32(
-            self.output_bias
-        )
+        hidden = _product(features, weights)
+        hidden += bias
+        logit = np.einsum("ij,j->i", np.maximum(hidden, 0, out=hidden), out)
+        logit += np.float32(self.output_bias)
         return np.asarray(1 / (1 + np.exp(-np.clip(logit, -30, 30))), np.float32)
 
     def map(self, images: Sequence[F32]) -> F32:
@@ -56,7 +51,7 @@ class Network:
         out, last = np.array(self.output_weights, np.float32), np.float32(self.output_bias)
         features = np.stack([np.ravel(image) for image in images])
         logit = np.empty(features.shape[1], np.float32)
-        for few in chunks(len(logit), _WIDE):
+        for few in chunks(len(logit), max(SMALL // weights.size, 1)):
             hidden = weights @ features[:, few]
             hidden += bias[:, None]
             np.dot(out, np.maximum(hidden, 0, out=hidden), out=logit[few])
@@ -69,6 +64,8 @@ class Network:
         """The network whose last features are known to be `values`: their share goes into the
         bias.
         """
+        if not len(values):
+            return self
         own = len(self.mean) - len(values)
         share = (
             (values - np.array(self.mean[own:]))
@@ -94,6 +91,20 @@ class Network:
             bias.astype(np.float32),
             np.array(self.output_weights, np.float32),
         )
+
+
+def _product(features: F32, weights: F32) -> F32:
+    """(n, F) features times (F, H) weights as a stack of small products, all in one call: threads
+    that call often wait for each other.
+    """
+    (n, width), units = features.shape, weights.shape[1]
+    rows = 2 ** int(np.log2(max(SMALL // weights.size, 1)))
+    stacked = n - n % rows
+    out = np.empty((n, units), np.float32)
+    stack = features[:stacked].T.reshape(width, -1, rows).transpose(1, 2, 0)
+    np.matmul(stack, weights, out=out[:stacked].reshape(-1, rows, units))
+    np.matmul(features[stacked:], weights, out=out[stacked:])
+    return out
 
 
 def average(networks: Sequence[Network]) -> Network:

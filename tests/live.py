@@ -19,7 +19,7 @@ from typing import Any
 from stereo_ore.errors import FrameError
 from stereo_ore.plant.frames import LiveFrame
 from stereo_ore.plant.live_folder import LiveFolder
-from stereo_ore.plant.loop import serve
+from stereo_ore.plant.loop import Done, serve
 from stereo_ore.plant.publisher import Publisher
 from stereo_ore.plant.sinks.message import Message, Origin, message
 from stereo_ore.plant.status import PlantStatus
@@ -157,7 +157,7 @@ def running(
             status = PlantStatus(source, publisher, lambda: folder.alarm)
             arguments = (
                 source,
-                lambda frame: lines_of(frame, **record),
+                lambda frame: Done(lines_of(frame, **record)),
                 folder,
                 publisher,
                 status,

@@ -411,6 +411,73 @@ def test_in_a_browser_each_frame_has_its_own_numbers_at_any_size(
     assert 0 < sum(detailed for _, _, detailed, _ in found["seen"]) <= 8
 
 
+MARKS = """
+<script>
+const wait = setInterval(() => {
+  if (document.body.dataset.cloud === "drawing") return;
+  clearInterval(wait);
+  const chosen = id => [...document.querySelectorAll(`#${id} tbody tr.chosen`)].map(
+    row => row.children[0].textContent);
+  const body = () => at("cloud").data.at(-1).x.length;
+  const state = () => [[...document.querySelectorAll("#lumps .marked")].map(s => s.dataset.ore),
+                       chosen("ores"), body()];
+  const rows = () => [...document.querySelectorAll("#ores tbody tr")];
+  const key = name => document.body.dispatchEvent(
+    new KeyboardEvent("keydown", { key: name, bubbles: true }));
+  const title = () => document.querySelector("#frame-title").textContent.split(":")[0];
+  const numbers = at("cloud").data.find(trace => trace.name === "numbers").text;
+  const found = { at_first: state(), numbers };
+  document.querySelector('#lumps [data-ore="1"]').dispatchEvent(new MouseEvent("click"));
+  found.picture = state();
+  document.querySelector("#ores thead button").click();
+  found.sorted = state();
+  rows().find(row => row.children[0].textContent === "2").click();
+  found.row = state();
+  at("cloud").emit("plotly_click", { points: [{ customdata: 1 }] });
+  found.cloud = state();
+  at("cloud").emit("plotly_click", { points: [{ customdata: 1 }] });
+  found.again = state();
+  found.keys = ["ArrowRight", "ArrowRight", "ArrowRight", "ArrowLeft"].map(
+    name => (key(name), title()));
+  document.querySelector('[data-filter="bad"]').click();
+  found.bad = [title(), document.querySelectorAll("#frames tbody tr").length,
+               document.querySelectorAll("#strip button").length, chosen("frames")];
+  const content = { id: "found", textContent: JSON.stringify(found) };
+  document.body.append(Object.assign(document.createElement("pre"), content));
+}, 100);
+</script>
+"""
+
+
+@pytest.mark.slow
+def test_in_a_browser_a_lump_is_marked_everywhere_and_frames_are_gone_through(
+    tmp_path: Path,
+) -> None:
+    records = [record(0, [ore(1), ore(2)]), record(1, [], "failed"), record(2, [ore(1)])]
+    found, console = browse(write_report(make_run(tmp_path / "run", records)), MARKS)
+    assert console == []
+    edges = 12 * 3
+    assert found["at_first"] == found["again"] == [[], [], 0]
+    assert found["numbers"] == ["[2] 1", "[1] 2"]
+    for place, id in (("picture", "1"), ("sorted", "1"), ("row", "2"), ("cloud", "1")):
+        assert found[place] == [[id], [id], edges], place
+    assert found["keys"] == [f"Frame 00000{number}" for number in (1, 2, 2, 1)]
+    assert found["bad"] == ["Frame 000001", 1, 1, ["1"]]
+
+
+def test_a_lump_can_be_clicked_where_it_is_seen(folder: Path, report: Page) -> None:
+    rig = Results(folder).rig
+    assert rig is not None
+    width, height = report.data["image_px"]
+    for lump in report.data["details"]["0"]["ores"]:
+        outline = np.array(lump["outline_px"], np.float32)
+        assert (outline >= 0).all()
+        assert (outline <= (width, height)).all()
+        x, y, z = lump["surface_centroid"]["camera"]
+        u, v = rig.project([x, y, z])
+        assert cv2.pointPolygonTest(outline, (float(u), float(v)), False) >= 0
+
+
 @pytest.mark.slow
 def test_in_a_browser_hostile_names_run_no_script(tmp_path: Path) -> None:
     reasons = [{"code": "UNPAIRED", "detail": HOSTILE}]

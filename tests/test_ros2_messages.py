@@ -119,11 +119,15 @@ def test_a_frame_is_shown_to_sinks_that_can_and_published_to_the_others() -> Non
         def show(self, message: Any, record: Any, age_s: float) -> None:
             self.shown.append((message, record, age_s))
 
+        def show_files(self, record: Any) -> None:
+            self.shown.append(record)
+
     plain, showing = ListSink(), Showing()
     record = make_record()
     with Publisher([plain, showing], valid_for_s=5.0) as publisher:
         made = publisher.publish(record, age_s=0.25)
-    assert showing.shown == [(made, record, 0.25)]
+        publisher.show_files(record)
+    assert showing.shown == [(made, record, 0.25), record]
     assert [message.status for _, message in showing.messages] == ["stopped"]
     assert [message.status for _, message in plain.messages] == ["ok", "stopped"]
 

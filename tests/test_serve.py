@@ -118,7 +118,7 @@ def test_a_fault_of_ours_is_a_failed_frame_and_no_end(tmp_path):
         site = Site()
 
     driver = Driver(Chain(), FrameFiles(tmp_path), unattended=True)
-    record = json.loads(processing(driver, Watch(HealthConfig()))(frame).record)
+    record = json.loads(processing(driver, Watch(HealthConfig()))(frame).lines.record)
     assert (record["status"], record["reasons"][0]["code"], record["targets"]) == (
         "failed",
         "INTERNAL_ERROR",

@@ -28,7 +28,7 @@ from stereo_ore.io.results import Results
 from stereo_ore.plant.clock import Clock
 from stereo_ore.plant.frames import LiveFrame
 from stereo_ore.plant.live_folder import LiveFolder
-from stereo_ore.plant.loop import serve
+from stereo_ore.plant.loop import Done, serve
 from stereo_ore.plant.publisher import Publisher
 from stereo_ore.plant.retention import Retention, parse_limits
 from stereo_ore.plant.status import PlantStatus
@@ -133,13 +133,13 @@ class Plant:
             retention = Retention(self.out, limits, watch.inbox.handled, self.clock)
             began_s = self.clock.now_s
 
-            def process(frame: LiveFrame) -> FrameLines:
+            def process(frame: LiveFrame) -> Done:
                 self.clock.advance(WORK_S)
                 if folder.alarm:
                     self.alarms.add(folder.alarm.partition(";")[0])
                 if frame.seen_s is not None and frame.seen_s > began_s + 1:
                     self.delays.append(frame.age_s)
-                return self._lines(frame)
+                return Done(self._lines(frame))
 
             serve(watch, process, folder, publisher, status, self.stop, retention)
             # Killed: nothing is finished, and what waits in memory is lost.

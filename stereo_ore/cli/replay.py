@@ -64,5 +64,6 @@ def replay(
         for due_s, record in schedule(folder, rate, speed):
             time.sleep(max(0.0, start + due_s - time.monotonic()))
             publisher.publish(record, age_s=0.0)
+            publisher.show_files(record)
         # The last targets run out as they would have.
         time.sleep(valid_for)

@@ -1,5 +1,5 @@
-"""The loop of `serve`: a frame is recorded first and published then, so that no consumer can cost a
-record.
+"""The loop of `serve`: a frame is recorded first, so that no consumer can cost a record, published
+then, and its cloud and pictures come last, so that no target waits for what people look at.
 """
 
 from __future__ import annotations
@@ -8,7 +8,8 @@ import json
 import logging
 import threading
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 
 from stereo_ore.chain import no_counts
 from stereo_ore.io.recordings.stamps import Stamp
@@ -24,7 +25,16 @@ from stereo_ore.types import FrameResult, Json, Reason, Site, StereoPair
 
 _log = logging.getLogger(__name__)
 
-Process = Callable[[LiveFrame], FrameLines]
+
+@dataclass(frozen=True)
+class Done:
+    """The lines of a frame, and what writes its files once its targets are out."""
+
+    lines: FrameLines
+    write: Callable[[], None] = lambda: None
+
+
+Process = Callable[[LiveFrame], Done]
 
 GONE = Reason("RESULTS_GONE", "the folder of results is not there: nothing can be recorded")
 DISK_FULL = "DISK_FULL"
@@ -47,7 +57,7 @@ def serve(
     source : LiveSource
         Where frames come from.
     process : callable
-        Turns a frame into its lines; a frame that can't be processed gives a record that says so.
+        Does a frame; one that can't be processed gives a record that says so.
     folder : LiveFolder
         Open folder of results; its last whole record is where the run goes on.
     publisher : Publisher
@@ -62,7 +72,8 @@ def serve(
     done = 0
     for arrived in source.frames(folder.position(), stop):
         frame = folder.named(arrived)
-        lines = _noted(_skipped(frame) if frame.skipped else process(frame), frame)
+        made = _skipped(frame) if frame.skipped else process(frame)
+        lines = _noted(made.lines, frame)
         folder.add(frame.name, lines)
         record = json.loads(lines.record)
         if folder.gone:
@@ -70,20 +81,24 @@ def serve(
         notes = (DISK_FULL,) if status.disk_fault and not folder.gone else ()
         if frame.told:
             publisher.publish(record, frame.age_s, notes)
-        status.add(record, frame.age_s if frame.told else None)
-        _tell(record, frame)
+        latency_s = frame.age_s
+        made.write()
+        if frame.told:
+            publisher.show_files(record)
+        status.add(record, latency_s if frame.told else None)
+        _tell(record, latency_s)
         done += 1
         if retention:
             retention.sweep_when_due(at_once=bool(notes))
     return done
 
 
-def _skipped(frame: LiveFrame) -> FrameLines:
-    """The lines of a frame that is not processed."""
+def _skipped(frame: LiveFrame) -> Done:
+    """A frame that is not processed."""
     reason = Reason("OVERTAKEN", frame.skipped)
     stamp = frame.stamp or Stamp(frame.taken_ns or frame.arrived_ns, "arrival")
     result = FrameResult(frame.name, frame.index, stamp.ns, "skipped", (reason,), no_counts())
-    return frame_lines(replace(result, stamp_source=stamp.source), Site(), ())
+    return Done(frame_lines(replace(result, stamp_source=stamp.source), Site(), ()))
 
 
 def _noted(lines: FrameLines, frame: LiveFrame) -> FrameLines:
@@ -96,21 +111,21 @@ def _noted(lines: FrameLines, frame: LiveFrame) -> FrameLines:
     return replace(lines, inputs=json.dumps(entry))
 
 
-def _tell(record: Json, frame: LiveFrame) -> None:
+def _tell(record: Json, latency_s: float) -> None:
     """One line a frame; its fields are in `extra`, for a log that a program reads."""
     codes = [reason["code"] for reason in record["reasons"]]
     fields = {
-        "frame": frame.name,
+        "frame": record["frame"],
         "status": record["status"],
         "reasons": codes,
         "targets": len(record["targets"]),
     }
-    fields["latency_ms"] = round(1000 * frame.age_s)
+    fields["latency_ms"] = round(1000 * latency_s)
     reasons = f" ({', '.join(codes)})" if codes else ""
     text = "frame %s: %s%s, %d targets, %d ms after it arrived"
     _log.info(
         text,
-        frame.name,
+        record["frame"],
         record["status"],
         reasons,
         fields["targets"],
@@ -122,11 +137,12 @@ def _tell(record: Json, frame: LiveFrame) -> None:
 def processing(driver: Driver, watch: Watch) -> Process:
     """Processing of live frames by an unattended driver, each judged by those before it."""
 
-    def process(frame: LiveFrame) -> FrameLines:
+    def process(frame: LiveFrame) -> Done:
         def read() -> list[StereoPair]:
             return [replace(frame.read(), name=frame.name)]
 
         result = driver.detect(frame.name, frame.index, read, frame.stamp)
-        return watch.judge(driver.finish(result, frame.files))
+        lines = watch.judge(frame_lines(result, driver.chain.site, frame.files))
+        return Done(lines, partial(driver.files.write, result))
 
     return process

@@ -80,6 +80,12 @@ class Publisher:
             self._changed.notify()
         return made
 
+    def show_files(self, record: JsonMapping) -> None:
+        """Tell the sinks that show them that the files of a frame are written."""
+        for sink in self._sinks:
+            if isinstance(sink, FrameSink):
+                sink.show_files(record)
+
     @property
     def latest(self) -> Message:
         """The message that consumers have been given last."""

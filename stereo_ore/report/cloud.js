@@ -166,10 +166,11 @@ function oreTraces(detail) {
     pointTrace(
       "centre of gravity",
       centred.map(ore => ore.centre.camera),
-      centred.map(oreText),
+      centred,
       { symbol: "cross", size: 4, color: "#00a5c8" },
     ),
   );
+  traces.push(numberTrace(detail));
   const tips = struck.map(ore => ore.strike.point.camera);
   const tails = struck.map((ore, i) => add(tips[i], ore.strike.direction.camera, -STRIKE_LENGTH_M));
   traces.push(
@@ -181,7 +182,7 @@ function oreTraces(detail) {
     ),
   );
   traces.push(
-    pointTrace("strike point", tips, struck.map(oreText), {
+    pointTrace("strike point", tips, struck, {
       symbol: "diamond",
       size: 4,
       color: struck.map(ore => (ore.id === detail.targets[0] ? "#ff00c8" : "#111")),
@@ -190,7 +191,7 @@ function oreTraces(detail) {
   return traces.filter(trace => trace.x.length);
 }
 
-function pointTrace(name, places, text, marker) {
+function pointTrace(name, places, ores, marker) {
   const axis = number => places.map(place => place[number]);
   return {
     type: "scatter3d",
@@ -199,10 +200,38 @@ function pointTrace(name, places, text, marker) {
     x: axis(0),
     y: axis(1),
     z: axis(2),
-    text,
+    text: ores.map(oreText),
+    customdata: ores.map(ore => ore.id),
     hovertemplate: "%{text}<extra></extra>",
     marker,
   };
+}
+
+// As in the picture: the rank of a target in brackets, and the number; above the lump, so that nothing hides it.
+const ABOVE_M = 0.1;
+function numberTrace(detail) {
+  const up = detail.grizzly ? detail.grizzly.normal : [0, 0, -1];
+  const place = ore => add((ore.centre || ore.surface_centroid).camera, up, ABOVE_M + (ore.size_m ? ore.size_m[0] / 2 : 0));
+  const trace = pointTrace("numbers", detail.ores.map(place), detail.ores, {});
+  const label = ore => {
+    const rank = detail.targets.indexOf(ore.id) + 1;
+    return rank ? `[${rank}] ${ore.id}` : String(ore.id);
+  };
+  const font = { size: 15, color: "#000", weight: 700 };
+  return { ...trace, mode: "text", text: detail.ores.map(label), textfont: font, hoverinfo: "skip", hovertemplate: null };
+}
+
+// The body of the marked lump; the last trace of all, empty while none is marked.
+function markTrace(detail) {
+  const ore = detail.ores.find(ore => ore.id === marked && ore.box);
+  return lineTrace("marked", ore ? boxEdges(ore) : [], "#ff00c8", 9, { showlegend: false });
+}
+
+let inCloud = null;
+function markInCloud() {
+  if (!inCloud || document.body.dataset.cloud !== "drawn") return;
+  const { x, y, z } = markTrace(inCloud);
+  Plotly.restyle("cloud", { x: [x], y: [y], z: [z] }, [at("cloud").data.length - 1]);
 }
 
 function oreText(ore) {
@@ -229,6 +258,7 @@ function drawCloudSoon(detail) {
 }
 
 function drawCloud(detail) {
+  inCloud = detail.points ? detail : null;
   if (!detail.points) {
     Plotly.purge("cloud");
     at("cloud").replaceChildren();
@@ -253,15 +283,18 @@ function drawCloud(detail) {
   };
   Plotly.react(
     "cloud",
-    [...cloudTraces(detail), ...oreTraces(detail)],
+    [...cloudTraces(detail), ...oreTraces(detail), markTrace(detail)],
     layout({
       margin: { l: 0, r: 0, t: 0, b: 0 },
       scene,
+      showlegend: at("cloud").clientWidth > 500,
       legend: { x: 0, y: 1, itemsizing: "constant", bgcolor: "rgba(255,255,255,.7)" },
     }),
     PLOT_3D,
   );
+  at("cloud").removeAllListeners("plotly_click");
+  at("cloud").on("plotly_click", ({ points: [point] }) => point.customdata && mark(point.customdata));
   const [shown, all] = [detail.points.count, detail.points.of].map(count => count.toLocaleString("en"));
   at("cloud-caption").textContent =
-    `${shown} of ${all} kept voxels, camera frame. Drag to turn, click the legend to hide.`;
+    `${shown} of ${all} kept voxels, camera frame. Drag to turn, click a lump to mark it, the legend to hide.`;
 }

@@ -121,12 +121,16 @@ function drawOres(table) {
   const rank = new Map(table.targets.map((id, place) => [id, place + 1]));
   const rows = table.ores.map(ore => ({ ...ore, rank: rank.get(ore.id) ?? null }));
   rows.sort((a, b) => (a.rank ?? Infinity) - (b.rank ?? Infinity) || a.id - b.id);
-  sortable(at("ores"), ORE_COLUMNS, rows);
+  sortable(at("ores"), ORE_COLUMNS, rows, { key: ore => ore.id, onRow: mark, chosen: id => id === marked });
 }
+
+let current = null;
 
 function choose(place) {
   const frame = data.frames[place],
     detail = data.details[place];
+  current = place;
+  marked = null;
   at("frame-title").textContent =
     `Frame ${frame.frame}: ${frame.status}, ${plural(frame.ores, "ore")}, ${plural(frame.targets, "target")}`;
   at("frame-stamp").textContent = stamp(frame) && `${stamp(frame)} UTC (${frame.stamp_source || "source unknown"})`;
@@ -139,31 +143,65 @@ function choose(place) {
   at("ores").hidden = !table;
   if (detail) drawDetail(detail);
   if (table) drawOres(table);
-  for (const element of document.querySelectorAll("#strip button"))
-    element.setAttribute("aria-current", String(Number(element.dataset.place) === place));
+  drawLumps(table ? table.ores : []);
+  for (const element of document.querySelectorAll("#strip button")) {
+    const chosen = Number(element.dataset.place) === place;
+    element.setAttribute("aria-current", String(chosen));
+    const strip = at("strip"),
+      left = element.offsetLeft - strip.offsetLeft;
+    if (chosen && (left < strip.scrollLeft || left + element.offsetWidth > strip.scrollLeft + strip.clientWidth))
+      strip.scrollLeft = left - strip.clientWidth / 2;
+  }
   for (const element of document.querySelectorAll("#frames tbody tr"))
     element.classList.toggle("chosen", Number(element.dataset.place) === place);
 }
 
-function showPicture(frame, place, detail) {
-  const image = at("overlay"),
-    small = data.thumbnails[place];
-  image.parentElement.hidden = ["failed", "skipped"].includes(frame.status) && !detail?.overlay && !small;
-  image.onerror = () => {
-    image.onerror = null;
-    if (small) image.src = small;
-  };
-  // A frame without an embedded picture has one beside the report, as long as the folder stays together.
-  image.src = detail?.overlay || `overlays/${encodeURIComponent(frame.frame)}.png`;
-}
-
 // --- the run
 
+// Which frames are shown: [name, count, what a frame must be].
+const BAD = ["degraded", "failed", "skipped"];
+const FILTERS = [
+  ["all", data.frames_total, () => true],
+  ...(BAD.some(status => data.statuses[status])
+    ? [["bad", BAD.reduce((sum, status) => sum + (data.statuses[status] || 0), 0), f => BAD.includes(f.status)]]
+    : []),
+  ...Object.entries(data.statuses).map(([status, count]) => [status, count, frame => frame.status === status]),
+];
+let places = data.frames.map((_, place) => place);
+
+function filterFrames(wanted) {
+  const [, , fits] = FILTERS.find(([name]) => name === wanted);
+  places = data.frames.map((_, place) => place).filter(place => fits(data.frames[place]));
+  for (const chip of document.querySelectorAll("#chips button"))
+    chip.setAttribute("aria-pressed", String(chip.dataset.filter === wanted));
+  drawStrip();
+  drawFrames();
+  if (places.length) choose(places.includes(current) ? current : places[0]);
+}
+
+function drawChips() {
+  if (data.frames.length < 2) return;
+  for (const [name, count] of FILTERS) {
+    const chip = at("chips").appendChild(make("button", `${count} ${name}`, `chip ${name}`));
+    chip.dataset.filter = name;
+    chip.addEventListener("click", () => filterFrames(name));
+  }
+}
+
+document.addEventListener("keydown", event => {
+  const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
+  if (!step || event.altKey || event.ctrlKey || event.metaKey || event.shiftKey) return;
+  const next = places[places.indexOf(current) + step];
+  if (next === undefined) return;
+  event.preventDefault();
+  choose(next);
+});
+
+const MOST_IN_STRIP = 120;
 function drawStrip() {
   if (data.frames.length < 2) return;
-  at("strip").replaceChildren(
-    ...Object.entries(data.thumbnails).map(([place, picture]) => stripButton(Number(place), picture)),
-  );
+  const few = places.length <= MOST_IN_STRIP ? places : places.filter(place => place in data.thumbnails);
+  at("strip").replaceChildren(...few.map(place => stripButton(place, data.thumbnails[place])));
 }
 
 function stripButton(place, picture) {
@@ -192,6 +230,7 @@ const FRAME_COLUMNS = [
   ["oversize", frame => frame.oversize],
   ["targets", frame => frame.targets],
   ["largest, middle dimension [mm]", frame => frame.largest_m, frame => fixed(frame.largest_m, 0, 1000)],
+  ["bars off [mm]", frame => frame.bars_off_m, frame => fixed(frame.bars_off_m, 1, 1000)],
   ["time [ms]", frame => frame.total_ms, frame => fixed(frame.total_ms, 0)],
   ["stamp [UTC]", frame => frame.stamp_utc, stamp, "text"],
   ["reasons", frame => frame.reasons.join(" · "), null, "text long"],
@@ -261,17 +300,16 @@ function drawRun() {
     .join(", ");
   at("summary").textContent =
     `${plural(data.frames_total, "frame")}: ${counts}${data.run.finished ? "" : " (the run is not finished)"}`;
-  for (const [status, count] of Object.entries(data.statuses))
-    at("chips").append(make("span", `${count} ${status}`, `chip ${status}`));
+  const day = text => text.slice(0, 19).replace("T", " ");
+  const { camera, from_utc: from, to_utc: to } = data.run;
+  const when = from && (from === to ? `${day(from)} UTC` : `${day(from)} to ${day(to)} UTC`);
+  at("made-of").textContent = [camera && `camera ${camera}`, when].filter(Boolean).join(", ");
+  drawChips();
   if (data.check) at("chips").append(make("span", `calibration: ${data.check.verdict}`, `chip ${data.check.verdict}`));
   at("frames-note").textContent =
     data.frames.length < data.frames_total
       ? `${data.frames.length} of ${data.frames_total}, spread evenly; all are in frames.jsonl.`
-      : "Click a heading to sort, a row to show the frame.";
-  sortable(at("frames"), FRAME_COLUMNS, data.frames, (frame, place) => {
-    choose(place);
-    at("frame").scrollIntoView();
-  });
+      : "Click a heading to sort, a row to show the frame. ← and → go from frame to frame; the buttons on top choose which.";
   sortable(
     at("reasons"),
     [
@@ -287,7 +325,45 @@ function drawRun() {
     Object.entries(data.timings).map(([name, ms]) => [name, ms, `${ms.toFixed(0)} ms`]),
   );
   drawSizes();
+  drawBarsOff();
   drawCheck();
+}
+
+function drawFrames() {
+  sortable(
+    at("frames"),
+    FRAME_COLUMNS,
+    places.map(place => ({ ...data.frames[place], place })),
+    {
+      key: frame => frame.place,
+      chosen: place => place === current,
+      onRow: place => {
+        choose(place);
+        at("frame").scrollIntoView();
+      },
+    },
+  );
+}
+
+function drawBarsOff() {
+  const known = data.frames.filter(frame => frame.bars_off_m !== null);
+  at("bars-card").hidden = known.length < 2;
+  if (known.length < 2) return;
+  const trace = {
+    type: "scatter",
+    mode: "lines+markers",
+    x: known.map(frame => frame.index),
+    y: known.map(frame => 1000 * frame.bars_off_m),
+    text: known.map(frame => frame.frame),
+    line: { color: "#2563a8", width: 1.5 },
+    marker: { size: 4 },
+  };
+  Plotly.newPlot(
+    "bars-off",
+    [trace],
+    layout({ xaxis: { title: { text: "frame" } }, yaxis: { title: { text: "mm" }, rangemode: "tozero" } }),
+    PLOT,
+  );
 }
 
 function drawCheck() {
@@ -329,5 +405,4 @@ function drawInputs() {
 
 drawRun();
 drawInputs();
-drawStrip();
-if (data.frames.length) choose(Number(Object.keys(data.details)[0]));
+filterFrames("all");

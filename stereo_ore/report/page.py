@@ -13,7 +13,7 @@ from typing import Any
 
 from stereo_ore.errors import MissingExtraError
 
-SCRIPTS = ("table.js", "cloud.js", "page.js")
+SCRIPTS = ("table.js", "picture.js", "cloud.js", "page.js")
 
 
 def render(data: Mapping[str, Any], title: str) -> str:

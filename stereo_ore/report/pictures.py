@@ -12,7 +12,7 @@ from stereo_ore.errors import FrameError
 from stereo_ore.io.recordings.images import read_image
 from stereo_ore.types import U8
 
-OVERLAY_WIDTH, OVERLAY_QUALITY = 1280, 80
+OVERLAY_WIDTH, OVERLAY_QUALITY = 1280, 75
 THUMBNAIL_WIDTH, THUMBNAIL_QUALITY = 176, 60
 
 

@@ -16,22 +16,24 @@ const vector = values => (values ? values.map(value => value.toFixed(3)).join(" 
 const plural = (count, word) => `${count} ${word}${count === 1 ? "" : "s"}`;
 
 // A column: [heading, value for sorting, text to show (default: the value), "text" for left alignment].
-function sortable(table, columns, rows, onRow) {
+// A row is found again by `key`, and may be the one that is chosen.
+function sortable(table, columns, rows, { key = (row, place) => place, onRow, chosen = () => false } = {}) {
   const head = make("thead"),
     body = make("tbody"),
-    line = head.appendChild(make("tr"));
+    top = head.appendChild(make("tr"));
   let order = rows.map((row, place) => place),
     sorted = null,
     falling = false;
-  const show = () => body.replaceChildren(...order.map(place => tableRow(columns, rows[place], place, onRow)));
+  const line = place => tableRow(columns, rows[place], key(rows[place], place), { onRow, chosen });
+  const show = () => body.replaceChildren(...order.map(line));
   columns.forEach(([heading, value, , kind], number) => {
-    const cell = line.appendChild(make("th", "", kind || ""));
+    const cell = top.appendChild(make("th", "", kind || ""));
     const button = cell.appendChild(make("button", heading));
     button.addEventListener("click", () => {
       falling = sorted === number ? !falling : false;
       sorted = number;
       order.sort((a, b) => compare(value(rows[a]), value(rows[b]), falling) || a - b);
-      for (const other of line.children) other.removeAttribute("aria-sort");
+      for (const other of top.children) other.removeAttribute("aria-sort");
       cell.setAttribute("aria-sort", falling ? "descending" : "ascending");
       show();
     });
@@ -50,11 +52,11 @@ function compare(a, b, falling) {
   return falling ? -result : result;
 }
 
-function tableRow(columns, row, place, onRow) {
-  const line = make("tr");
+function tableRow(columns, row, place, { onRow, chosen }) {
+  const line = make("tr", "", chosen(place) ? "chosen" : "");
   line.dataset.place = place;
   for (const [, value, text, kind] of columns) line.append(make("td", (text || value)(row) ?? "", kind || ""));
-  if (onRow) line.addEventListener("click", () => onRow(row, place));
+  if (onRow) line.addEventListener("click", () => onRow(place));
   return line;
 }
 

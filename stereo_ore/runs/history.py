@@ -20,6 +20,7 @@ import numpy as np
 from stereo_ore.config import HealthConfig
 from stereo_ore.record import to_line
 from stereo_ore.runs.folder import FrameLines
+from stereo_ore.threads import pool
 from stereo_ore.types import F64, U8, FrameResult, Json, Reason
 
 FEWEST_GOOD = 5
@@ -31,7 +32,8 @@ of the distance."""
 
 def fingerprints(result: FrameResult) -> list[str] | None:
     """A short digest of the pixels of each eye; None for a frame without images."""
-    return None if result.pair is None else [_digest(result.pair.left), _digest(result.pair.right)]
+    pair = result.pair
+    return None if pair is None else list(pool().map(_digest, (pair.left, pair.right)))
 
 
 def _digest(image: U8) -> str:

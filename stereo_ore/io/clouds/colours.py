@@ -17,7 +17,7 @@ def unpack(records: Records) -> Records:
     """The records with ``rgb`` or ``rgba``, 32 bits that may pass for a float, as columns of
     bytes.
     """
-    columns = columns_of(records)
+    known = columns = columns_of(records)
     for packed, names in (("rgb", _RGB), ("rgba", (*_RGB, "alpha"))):
         column = columns.get(packed)
         if column is None or column.dtype.itemsize != 4 or set(names) & columns.keys():
@@ -28,7 +28,7 @@ def unpack(records: Records) -> Records:
             for name, shift in zip(names, SHIFTS, strict=False)
         }
         columns = _in_place(columns, packed, parts)
-    return from_columns(columns) if columns else records
+    return records if columns is known else from_columns(columns)
 
 
 def pack_rgb(records: Records) -> Records:

@@ -108,11 +108,10 @@ def _body(
     skip = sum(e.count * sum(np.dtype(kind).itemsize for _, kind in e.properties) for e in before)
     require_bytes(skip + vertex.count * dtype.itemsize, left, path)
     file.seek(skip, 1)
-    return (
-        np.frombuffer(file.read(vertex.count * dtype.itemsize), dtype)
-        if dtype.names
-        else np.empty(0, dtype)
-    )
+    points = np.empty(vertex.count if dtype.names else 0, dtype)
+    if len(points):
+        file.readinto(points.view(np.uint8))  # type: ignore[attr-defined]
+    return points
 
 
 def _header(file: BinaryIO, path: Path) -> tuple[str, list[_Element]]:

@@ -15,6 +15,7 @@ import platform
 import sys
 from array import array
 from collections.abc import Callable, Iterator, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -71,19 +72,24 @@ class MessageTypes(Mapping[str, Callable[..., Any]]):
     """Message classes by their full name, such as ``std_msgs/msg/Header``."""
 
     def __getitem__(self, name: str) -> Callable[..., Any]:
-        package, kind, message = name.split("/")
-        try:
-            found = getattr(importlib.import_module(f"{package}.{kind}"), message)
-        except ImportError:
-            raise MissingExtraError(package, EXTRA, remedy=_how_to_install()) from None
-        assert isinstance(found, type), "a message's name is that of a class"
-        return found
+        return _message(name)
 
     def __iter__(self) -> Iterator[str]:
         return iter(())
 
     def __len__(self) -> int:
         return 0
+
+
+@cache
+def _message(name: str) -> Callable[..., Any]:
+    package, kind, message = name.split("/")
+    try:
+        found = getattr(importlib.import_module(f"{package}.{kind}"), message)
+    except ImportError:
+        raise MissingExtraError(package, EXTRA, remedy=_how_to_install()) from None
+    assert isinstance(found, type), "a message's name is that of a class"
+    return found
 
 
 def domain() -> str:

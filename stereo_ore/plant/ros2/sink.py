@@ -72,6 +72,7 @@ class Ros2Sink:
         self._results = Results(view.folder)
         self._lease_s = min(LEASE_S, view.valid_for_s / 2)
         self._next: _Shown | None = None
+        self._written: JsonMapping | None = None
         self._latest: _Shown | None = None
         self._told_s = 0.0
         self._changed = threading.Condition()
@@ -112,8 +113,14 @@ class Ros2Sink:
         self._put(_Shown(message))
 
     def show(self, message: Message, record: JsonMapping, age_s: float) -> None:
-        """Take the message of a frame, whose cloud and overlay are in the run's folder."""
+        """Take the message of a frame."""
         self._put(_Shown(message, record, age_s))
+
+    def show_files(self, record: JsonMapping) -> None:
+        """Take that the cloud and overlay of a frame are in the run's folder."""
+        with self._changed:
+            self._written = record
+            self._changed.notify()
 
     def state(self) -> SinkState:
         """Subscriptions, and messages sent."""
@@ -164,11 +171,19 @@ class Ros2Sink:
     def _run(self) -> None:
         while True:
             with self._changed:
-                self._changed.wait_for(lambda: self._next or self._closed, self._lease_s / 3)
+                self._changed.wait_for(
+                    lambda: self._next or self._written or self._closed, self._lease_s / 3
+                )
                 shown, self._next, closed = self._next, None, self._closed
+                # Targets overtake the pictures of the frame before.
+                written = None
+                if shown is None:
+                    written, self._written = self._written, None
             try:
                 if shown is not None:
                     self._send(shown)
+                elif written is not None:
+                    self._send_files(written)
                 elif closed:
                     self._publishers["targets"].wait_for_all_acked(self._duration(ACKNOWLEDGED_S))
                     return
@@ -211,16 +226,14 @@ class Ros2Sink:
         self._publishers["strikes"].publish(strikes)
         self._diagnose(self._latest)
         if record is not None:
-            self._show(ros, record)
+            rig, lifetime_s = self._view.rig, self._view.valid_for_s
+            self._publishers["lumps"].publish(markers.lump_markers(ros, record, rig, lifetime_s))
+            self._publishers["camera_info"].publish(camera_info(ros, rig))
         self._sent += 1
 
-    def _show(self, ros: RosFrame, record: JsonMapping) -> None:
-        """What people look at; of topics without listeners only the latest that costs little."""
-        view, frame = self._view, record["frame"]
-        self._publishers["lumps"].publish(
-            markers.lump_markers(ros, record, view.rig, view.valid_for_s)
-        )
-        self._publishers["camera_info"].publish(camera_info(ros, view.rig))
+    def _send_files(self, record: JsonMapping) -> None:
+        """What people look at, from the run's folder."""
+        frame, ros = record["frame"], self._ros(record["stamp_ns"] or 0)
         if (cloud := self._results.cloud(frame)) is not None:
             self._publishers["cloud"].publish(ros.cloud(cloud))
         if (overlay := self._results.overlay(frame)) is not None:

@@ -69,6 +69,10 @@ class FrameSink(TargetSink, Protocol):
         """
         ...
 
+    def show_files(self, record: JsonMapping) -> None:
+        """Take that the cloud and overlay of a frame are in the run's folder, if it has any."""
+        ...
+
 
 class Outbox:
     """A bounded queue whose writer never waits: when it is full the oldest message is dropped and

@@ -30,6 +30,7 @@ from stereo_ore.stages.filters.baselines import keep_all, lof, radius, statistic
 from stereo_ore.stages.filters.closed_form import closed_form
 from stereo_ore.stages.filters.like import PROGRAMS, apply_like
 from stereo_ore.stages.filters.paper import paper
+from stereo_ore.threads import pool
 from stereo_ore.types import F32, I32, FilterResult, Mask, VoxelCloud
 
 __all__ = ["METHODS", "PROGRAMS", "Method", "apply", "apply_like", "parameters", "prepared"]
@@ -166,6 +167,7 @@ def _coarse_cell(xyz: F32, cells: int = 64) -> npt.NDArray[np.int64]:
 
 
 def _take(voxels: VoxelCloud, rows: I32) -> VoxelCloud:
+    taken = pool().map(lambda cue: cue[rows], voxels.cues.values())
     return dataclasses.replace(
         voxels,
         xyz=voxels.xyz[rows],
@@ -173,5 +175,5 @@ def _take(voxels: VoxelCloud, rows: I32) -> VoxelCloud:
         inverse=np.zeros(0, np.int32),
         sigma_z=voxels.sigma_z[rows],
         pixel_m=voxels.pixel_m[rows],
-        cues={name: cue[rows] for name, cue in voxels.cues.items()},
+        cues=dict(zip(voxels.cues, taken, strict=True)),
     )

@@ -4,6 +4,7 @@ a doubt.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,16 +81,18 @@ class StereoEvidence:
         if number == 0 or not len(noise):
             return Questions(everything, _NOTHING, self.cues.__getitem__)
         rows = np.flatnonzero((noise > SURE) & (noise < 1 - SURE))
-        features = self._features(noise, rows) if len(rows) else self.cues[rows]
-        return Questions(rows, _NOTHING, features.__getitem__)
+        return Questions(rows, _NOTHING, self._table(noise, rows))
 
-    def _features(self, noise: F32, rows: Rows) -> F32:
+    def _table(self, noise: F32, rows: Rows) -> Callable[[slice], F32]:
+        if not len(rows):
+            return lambda part: self.cues[rows[part]]
         at = self.points[rows]
         index, distance = nearest(self.points, at, min(self.k + 1, len(self.points)))
         index, distance = index[:, 1:], distance[:, 1:]
         density = np.log(mean_distances(distance) + np.float32(LEAST))
         planes, odds = fit_weighted_planes(self.points, index, 1 - noise, at), log_odds(noise)
-        return columns(self.cues[rows], density, planes.shape, odds[rows], mean_of(odds, index))
+        found = columns(density, planes.shape, odds[rows], mean_of(odds, index))
+        return lambda part: columns(self.cues[rows[part]], found[part])
 
 
 def stereo_evidence(voxels: VoxelCloud, k: int) -> StereoEvidence:

@@ -69,8 +69,9 @@ def standing(surface: Surface, screen: Grizzly, opening_m: float, config: Foreig
         for part in _parts(grid, level * opening_m):
             if not found[part].all() and _stands_alone(grid, part, opening_m, config):
                 found |= _whole(grid, part)
-    labels = _largest_first(found)
-    return _full(labels, surface, grid.step)
+    if not found.any():
+        return np.zeros(surface.sigma_z.shape, np.int32)
+    return _full(_largest_first(found), surface, grid.step)
 
 
 def _grid(surface: Surface, screen: Grizzly) -> _Grid:
@@ -84,6 +85,8 @@ def _grid(surface: Surface, screen: Grizzly) -> _Grid:
 def _parts(grid: _Grid, level_m: float) -> Iterator[Mask]:
     """Connected pixels above a level."""
     above = grid.seen & (grid.height > level_m)
+    if not above.any():
+        return
     count, labels, stats, _ = cv2.connectedComponentsWithStats(
         above.astype(np.uint8), connectivity=4
     )
@@ -94,18 +97,22 @@ def _parts(grid: _Grid, level_m: float) -> Iterator[Mask]:
 
 def _stands_alone(grid: _Grid, part: Mask, opening_m: float, config: ForeignConfig) -> bool:
     """Whether a part is higher over what is around it than it is wide."""
+    size, low = _size(grid, part), float(np.percentile(grid.height[part], LOW_QUANTILE))
+
+    def is_high(gap_m: float) -> bool:
+        in_widths = gap_m / size
+        return in_widths > config.min_stance and in_widths * gap_m / opening_m > LEAST_STANCE
+
+    # Nearly all parts are too low even over the bars.
+    if size < LEAST_SIZE * opening_m or not is_high(low):
+        return False
     width_px = max(3, round(_AROUND * opening_m / float(np.median(grid.pixel_m[part]))))
     kernel = np.ones((2 * width_px + 1, 2 * width_px + 1), np.uint8)
     near = (cv2.dilate(part.astype(np.uint8), kernel) > 0) & ~part & grid.seen
     if near.sum() < FEWEST_AROUND:
         return False
     around = max(0.0, float(np.percentile(grid.height[near], HIGH_QUANTILE)))
-    gap = float(np.percentile(grid.height[part], LOW_QUANTILE)) - around
-    size = _size(grid, part)
-    if gap <= 0 or size < LEAST_SIZE * opening_m:
-        return False
-    in_widths = gap / size
-    return in_widths > config.min_stance and in_widths * gap / opening_m > LEAST_STANCE
+    return low > around and is_high(low - around)
 
 
 def _size(grid: _Grid, part: Mask) -> float:

@@ -142,9 +142,9 @@ def _selected(
     labels: I32, measured: Mask, likely: F64, pixel_m: float, config: SegmentConfig
 ) -> tuple[Mask, dict[str, int]]:
     """Which labels 0…n are lumps, and how many are none for being small or unlike one."""
-    count = len(likely)
-    area = np.bincount(labels.ravel(), minlength=count)
-    kept = np.bincount(labels.ravel(), measured.ravel(), count) / np.maximum(area, 1)
+    count, inside = len(likely), labels > 0
+    area = np.bincount(labels[inside], minlength=count)
+    kept = np.bincount(labels[inside & measured], minlength=count) / np.maximum(area, 1)
     large = area >= max((config.min_size_m / pixel_m) ** 2, config.min_pixels)
     rim = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
     doubtful = area < config.small_pixels

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
-from stereo_ore.types import F32, F64, U8, Disparity, Grizzly, Mask, Region, Surface
+from stereo_ore.threads import pool
+from stereo_ore.types import F32, F64, U8, Disparity, Grizzly, Mask, Plane, Region, Rig, Surface
 
 CHANNELS = (
     "height", "normal_x", "normal_y", "relief", "valid", "valid_share", "lr_diff", "kept",
@@ -22,8 +24,8 @@ UNIT = 32
 """Pixels that the opening spans in the network's images."""
 _LEAST_SCALE = 0.15
 """The images are never smaller than this share of the camera's."""
-_NEAR, _CLOSE = 1.5, 7
-"""Side of the windows of means: `_NEAR` openings, and `_CLOSE` pixels for the texture."""
+_WINDOW, _CLOSE = int(1.5 * UNIT) | 1, 7
+"""Sides of the windows of means [pixels]: near by, one and a half openings, and close by."""
 LOWEST, HIGHEST, STEEPEST = -1.5, 2.5, 1.5
 """Bounds of the height and of the relief [openings]."""
 BEYOND = 4.0
@@ -57,44 +59,67 @@ def measure_channels(
     region : Region
         The rectangle; of it x0…y1 are used.
     """
-    rig, plane = surface.rig, screen.plane
-    x, y = (np.arange(region.x0, region.x1) + 0.5, np.arange(region.y0, region.y1) + 0.5)
     scale = _scale(disparity, surface, screen, opening_m)
-    size = max(8, round(len(x) * scale)), max(8, round(len(y) * scale))
-    u, v = (
-        ((np.arange(n) + 0.5) * (len(a) / n) + a[0] - 1 - c) / f
-        for n, a, c, f in zip(size, (x, y), (rig.cx, rig.cy), (rig.fx, rig.fy), strict=True)
-    )
+    sides = region.x1 - region.x0, region.y1 - region.y0
+    width, height = (max(8, round(side * scale)) for side in sides)
+    inner = _crop(disparity.region, region)
     d = disparity.values[region.slices]
-    near = d > np.float32(0.5 - rig.doffs_px)
+    near = d > np.float32(0.5 - surface.rig.doffs_px)
+    parts = (
+        lambda: _shape(d, near, surface.rig, screen.plane, opening_m, region, (width, height)),
+        lambda: _doubts(disparity.cues, near, surface, inner, (width, height)),
+        lambda: _shades(surface.bgr[inner], (width, height)),
+    )
+    images = [image for part in pool().map(lambda part: part(), parts) for image in part]
+    return Channels(np.stack(images), region, scale)
+
+
+def _shape(
+    d: F32,
+    near: Mask,
+    rig: Rig,
+    plane: Plane,
+    opening_m: float,
+    region: Region,
+    size: tuple[int, int],
+) -> tuple[F32, ...]:
+    """Height, normal, relief, and where there is a disparity."""
     share = _shrunk(near.astype(np.float32), size)
     mean = _shrunk(np.where(near, d, np.float32(0)), size) / np.maximum(share, np.float32(1e-3))
     with np.errstate(divide="ignore", invalid="ignore"):
         z = np.float32(rig.fx * rig.baseline_m) / (mean + np.float32(rig.doffs_px))
+    u = (_middles(region.x0, region.x1, size[0]) - rig.cx) / rig.fx
+    v = (_middles(region.y0, region.y1, size[1]) - rig.cy) / rig.fy
     axes = np.stack([*_in_plane(plane.normal), plane.normal]) / opening_m
     place = [(_on_rays(axis, u, v) * z).astype(np.float32) for axis in axes]
     place[2] -= np.float32(plane.offset / opening_m)
     valid = (share > np.float32(0.3)) & (np.abs(place[2]) < BEYOND)
     weight = valid.astype(np.float32)
-    height = np.where(valid, np.clip(place[2], LOWEST, HIGHEST), np.float32(0))
-    window = int(_NEAR * UNIT) | 1
-    around = _box(height, window) / np.maximum(_box(weight, window), np.float32(1e-3))
-    relief = np.clip(height - around, -STEEPEST, STEEPEST) * weight
-    cropped = _crop(disparity.region, region)
-    kept = np.isfinite(surface.xyz[..., 2][cropped]).astype(np.float32)
-    doubts = [
-        _shrunk(_cue(disparity, name, cropped, missing), size)
-        for name, missing in (("valid_share", near.astype(np.float32)), ("lr_diff_px", None))
-    ]
-    return Channels(
-        np.stack([
-            height, *_normal(place, weight), relief, weight, doubts[0],
-            np.minimum(doubts[1], np.float32(2)) / np.float32(2), _shrunk(kept, size),
-            *_shades(surface.bgr[cropped], size, window),
-        ]).astype(np.float32),
-        region,
-        scale,
-    )  # fmt: skip
+    height: F32 = np.where(valid, np.clip(place[2], LOWEST, HIGHEST), np.float32(0))
+    around = _box(height, _WINDOW) / np.maximum(_box(weight, _WINDOW), np.float32(1e-3))
+    relief = np.asarray(np.clip(height - around, -STEEPEST, STEEPEST) * weight, np.float32)
+    return height, *_normal(place, weight), relief, weight
+
+
+def _middles(start: int, stop: int, count: int) -> F64:
+    """Middles (count,) of as many equal parts of the pixels from `start` to `stop` [px]."""
+    return np.asarray((np.arange(count) + 0.5) * ((stop - start) / count) + (start + 0.5) - 1)
+
+
+def _doubts(
+    cues: Mapping[str, F32],
+    near: Mask,
+    surface: Surface,
+    inner: tuple[slice, slice],
+    size: tuple[int, int],
+) -> tuple[F32, ...]:
+    """What the matcher doubts, and what the filter kept; a matcher without doubts is sure."""
+    share = cues["valid_share"][inner] if "valid_share" in cues else near.astype(np.float32)
+    differ = cues["lr_diff_px"][inner] if "lr_diff_px" in cues else np.zeros(near.shape, np.float32)
+    kept = np.isfinite(surface.xyz[..., 2][inner]).astype(np.float32)
+    share, differ = (_shrunk(np.minimum(cue, np.float32(4)), size) for cue in (share, differ))
+    differ = np.asarray(np.minimum(differ, np.float32(2)) / np.float32(2), np.float32)
+    return share, differ, _shrunk(kept, size)
 
 
 def _scale(disparity: Disparity, surface: Surface, screen: Grizzly, opening_m: float) -> float:
@@ -142,14 +167,6 @@ def _crop(outer: Region, inner: Region) -> tuple[slice, slice]:
     )
 
 
-def _cue(disparity: Disparity, name: str, at: tuple[slice, slice], missing: F32 | None) -> F32:
-    """A doubt of the matcher; a matcher that has none is taken for sure."""
-    if name in disparity.cues:
-        return np.minimum(disparity.cues[name][at], np.float32(4))
-    shape = at[0].stop - at[0].start, at[1].stop - at[1].start
-    return np.zeros(shape, np.float32) if missing is None else missing
-
-
 def _normal(place: list[F32], weight: F32) -> tuple[F32, F32]:
     """Components in the screen's plane of the normal of points smoothed by a pixel."""
 
@@ -169,7 +186,7 @@ def _normal(place: list[F32], weight: F32) -> tuple[F32, F32]:
     return n[0] * inner, n[1] * inner
 
 
-def _shades(bgr: U8, size: tuple[int, int], window: int) -> tuple[F32, F32]:
+def _shades(bgr: U8, size: tuple[int, int]) -> tuple[F32, F32]:
     """Grey level less its mean over its spread near by, and logarithm of the spread close by."""
     grey = _shrunk(np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY), np.uint8), size)
     square = grey * grey
@@ -178,6 +195,6 @@ def _shades(bgr: U8, size: tuple[int, int], window: int) -> tuple[F32, F32]:
         variance = np.maximum(_box(square, side) - _box(grey, side) ** 2, np.float32(0))
         return np.asarray(np.sqrt(variance), np.float32)
 
-    even = np.clip((grey - _box(grey, window)) / (spread(window) + np.float32(3)), -3, 3)
+    even = np.clip((grey - _box(grey, _WINDOW)) / (spread(_WINDOW) + np.float32(3)), -3, 3)
     texture = (np.log(spread(_CLOSE) + np.float32(0.5)) - np.float32(1.5)) / np.float32(1.5)
     return np.asarray(even / np.float32(2), np.float32), np.asarray(texture, np.float32)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stereo_ore.stages.segment.channels import UNIT
-from stereo_ore.types import F32
+from stereo_ore.types import F32, F64
 
 OUTPUTS = ("ore", "line", "offset_x", "offset_y", "log_size")
 """Logits of ore and of the contact line between lumps; where the middle of what is seen of the lump
@@ -35,13 +35,17 @@ class Outputs:
 
 def read(raw: F32) -> Outputs:
     """The outputs (5, h, w) of the network, in pixels and probabilities."""
-    values = np.round(raw.astype(np.float64) * GRID) / GRID
-    odds = 1 / (1 + np.exp(-np.clip(values[:2], -30, 30)))
-    row, column = np.mgrid[: raw.shape[1], : raw.shape[2]]
+    values = np.round(raw * np.float32(GRID)) / np.float32(GRID)
+    ore, line, log_size = values[[0, 1, 4]].astype(np.float64)
+    rows, columns = (np.arange(n, dtype=np.float32) for n in raw.shape[1:])
     return Outputs(
-        np.asarray(odds[0], np.float32),
-        np.asarray(odds[1], np.float32),
-        np.asarray(column + values[2] * UNIT, np.float32),
-        np.asarray(row + values[3] * UNIT, np.float32),
-        np.asarray(np.clip(np.exp(values[4]), _SMALLEST, _LARGEST) * UNIT, np.float32),
+        _probability(ore),
+        _probability(line),
+        columns + values[2] * np.float32(UNIT),
+        rows[:, None] + values[3] * np.float32(UNIT),
+        np.asarray(np.clip(np.exp(log_size), _SMALLEST, _LARGEST) * UNIT, np.float32),
     )
+
+
+def _probability(logit: F64) -> F32:
+    return np.asarray(1 / (1 + np.exp(-np.clip(logit, -30, 30))), np.float32)

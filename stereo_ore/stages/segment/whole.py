@@ -62,18 +62,22 @@ def features(labels: I32, said: Outputs, x: F32) -> F64:
     mine = labels.ravel()[at].astype(np.intp)
     area = np.maximum(np.bincount(mine, minlength=count + 1), 1).astype(np.float64)
 
+    def own(image: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        return image.ravel()[at]
+
     def mean(values: npt.NDArray[Any]) -> F64:
-        total = np.bincount(mine, values.ravel()[at].astype(np.float64), count + 1)
+        total = np.bincount(mine, values.astype(np.float64), count + 1)
         return np.asarray(total / area, np.float64)
 
-    diameter = np.exp(mean(np.log(said.diameter)))
-    missed = np.hypot(said.x - mean(said.x)[labels], said.y - mean(said.y)[labels])
+    diameter = np.exp(mean(np.log(own(said.diameter))))
+    x_px, y_px = own(said.x), own(said.y)
+    missed = np.hypot(x_px - mean(x_px)[mine], y_px - mean(y_px)[mine])
     channel = dict(zip(CHANNELS, x, strict=True))
     columns = [
-        mean(said.ore), mean(said.line), mean(missed < AGREED * diameter[labels]),
-        np.log(area / diameter**2), np.log(area / UNIT**2), mean(channel["valid"]),
-        mean(channel["kept"]), mean(channel["height"]), mean(channel["texture"]),
-        mean(_beside_another(labels)),
+        mean(own(said.ore)), mean(own(said.line)), mean(missed < AGREED * diameter[mine]),
+        np.log(area / diameter**2), np.log(area / UNIT**2),
+        *(mean(own(channel[name])) for name in ("valid", "kept", "height", "texture")),
+        mean(own(_beside_another(labels))),
     ]  # fmt: skip
     return np.stack(columns, 1)[1:]
 
