@@ -238,7 +238,7 @@ class SegmentConfig(StageConfig):
     )
     band: float = param(
         0.06,
-        "band on either side of an outline within which the image may move it, in openings",
+        "how far around an outline the image is looked at for its edge, in openings",
         gt=0,
     )
     default_opening_m: float = param(
