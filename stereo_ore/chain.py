@@ -38,9 +38,11 @@ from stereo_ore.types import (
     Disparity,
     FrameResult,
     Grizzly,
+    KeepOut,
     Ore,
     OreMap,
     PointCloud,
+    Postures,
     Reason,
     RectifiedPair,
     Registration,
@@ -69,6 +71,9 @@ class Chain:
         Arm, working volume and grizzly, as far as they are known.
     config : Config
         Parameters of all stages.
+    postures : Postures, optional
+        Where the arm's parts are at a time, for a site with `posture`; without it such a site gives
+        no targets.
 
     Raises
     ------
@@ -77,8 +82,13 @@ class Chain:
     """
 
     def __init__(
-        self, calibration: StereoCalibration, site: Site | None = None, config: Config | None = None
+        self,
+        calibration: StereoCalibration,
+        site: Site | None = None,
+        config: Config | None = None,
+        postures: Postures | None = None,
     ) -> None:
+        self.postures = postures
         self.calibration, self.site, self.config = calibration, site or Site(), config or Config()
         self.rectifier = rectify.make_rectifier(calibration)
         self.rig = self.rectifier.rig
@@ -98,10 +108,23 @@ class Chain:
         trace.remark(self.withheld, withhold=bool(self.withheld))
         trace.check(health.other_scene, self.site, self.calibration)
         with trace.until_a_fault():
-            self._follow(trace, pair, more)
+            self._follow(trace, pair, more, self._keep_out(trace, pair))
         return trace.result(pair)
 
-    def _follow(self, trace: Trace, pair: StereoPair, more: Sequence[StereoPair]) -> None:
+    def _keep_out(self, trace: Trace, pair: StereoPair) -> tuple[KeepOut, ...]:
+        """Where nothing is ore while this pair is taken: the site's places, and the arm's parts."""
+        link = self.site.posture
+        parts, doubts = foreign.arm_places(pair.stamp_ns, self.postures, link)
+        trace.remark(doubts, withhold=bool(doubts))
+        return (*self.site.keep_out, *parts)
+
+    def _follow(
+        self,
+        trace: Trace,
+        pair: StereoPair,
+        more: Sequence[StereoPair],
+        keep_out: Sequence[KeepOut],
+    ) -> None:
         site, config = self.site, self.config
         eyes = trace.reached("rectify", rectify.rectify(pair, self.rectifier))
         disparity = trace.reached("match", self._match(eyes, more))
@@ -116,7 +139,7 @@ class Chain:
         filtered = trace.reached("filter", filters.apply(grid, config.filter))
         kept = filtered.keep[grid.inverse]
         surface = cloud.surface(points, kept, eyes, disparity.region)
-        alien = foreign.places(surface, site.keep_out)
+        alien = foreign.places(surface, keep_out)
         surface = trace.reached("surface", foreign.without_foreign(surface, alien))
         screen = trace.reached("grizzly", replace(self._screen(surface), registration=moved))
         trace.check(health.bar_doubts, moved, screen.opening_m, config.health)
@@ -220,7 +243,7 @@ class Trace:
 
     def __init__(self) -> None:
         self._remarks: list[Reason] = []
-        self._withheld = False
+        self._withheld: list[str] = []
         self._reached: dict[str, Any] = {}
         self._stages_ms: dict[str, float] = {}
         self._checks: list[Future[tuple[Reason, ...]]] = []
@@ -239,8 +262,9 @@ class Trace:
 
     def remark(self, reasons: Iterable[Reason], withhold: bool) -> None:
         """Note what is no fault of the frame; its targets may be withheld for it."""
+        reasons = tuple(reasons)
         self._remarks.extend(reasons)
-        self._withheld |= withhold
+        self._withheld += [reason.code for reason in reasons] if withhold else []
 
     @contextmanager
     def until_a_fault(self) -> Iterator[None]:
@@ -299,6 +323,7 @@ class Trace:
             targets=targets,
             stages_ms=self._stages_ms,
             stamp_source=pair.stamp_source,
+            withheld=tuple(dict.fromkeys(self._withheld)) if status == "ok" else (),
         )
 
     def _counts(self, targets: tuple[int, ...]) -> dict[str, int]:

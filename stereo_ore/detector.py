@@ -17,6 +17,7 @@ from stereo_ore.config import Config
 from stereo_ore.errors import CloudError, FrameError
 from stereo_ore.io import calibration as calibrations
 from stereo_ore.io.parameters import load_config
+from stereo_ore.io.posture import recorded_postures
 from stereo_ore.io.recordings import BagOptions, Source, limit_pixels, open_source
 from stereo_ore.io.results import Results
 from stereo_ore.io.site import load_site
@@ -64,7 +65,7 @@ class Detector:
         site: Site | None = None,
         config: Config | None = None,
     ) -> None:
-        self.chain = Chain(calibration, site, config)
+        self.chain = Chain(calibration, site, config, recorded_postures(site))
         self.inputs = InputFiles()
 
     @classmethod

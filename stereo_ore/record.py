@@ -51,6 +51,8 @@ def record(result: FrameResult, site: Site) -> Json:
         "foreign": [_foreign(body) for body in result.foreign],
         "ores": [_ore(ore) for ore in result.ores],
         "targets": list(result.targets),
+        "withheld": list(result.withheld),
+        "tracks": {"started": [], "ended": []},
     }
 
 
@@ -83,6 +85,7 @@ def _grizzly(grizzly: Grizzly | None) -> Json | None:
         "offset_m": number(plane.offset),
         "source": grizzly.source,
         "rms_m": rms,
+        "openings_m": None if grizzly.openings_m is None else _numbers(grizzly.openings_m),
         "registration": _registration(grizzly.registration),
     }
 
@@ -125,6 +128,7 @@ def _ore(ore: Ore) -> Json:
     solid = ore.solid
     return {
         "id": ore.id,
+        "track": None,
         "points": ore.points,
         "pixels": ore.pixels,
         "cut": ore.cut,

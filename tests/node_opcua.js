@@ -23,6 +23,10 @@ async function load(file) {
         frame: frame && frame.readValue().value.value, access: node.accessLevel, text: node.description.text});
     }
   }
+  const type = root.typeDefinitionObj, parts = type.getComponents().flatMap(folder =>
+    folder.getComponents().filter(node => node.modellingRule === "Mandatory")
+      .map(node => `${folder.browseName.name}.${node.browseName.name}`));
+  say({name: "the type", id: type.browseName.name, of: type.subtypeOfObj.browseName.name, mandatory: parts});
   space.dispose();
 }
 

@@ -78,7 +78,7 @@ def of_today(entry: dict[str, Any], stamp_source: str) -> dict[str, Any]:
     made = FrameResult(entry["frame"], entry["index"], entry["stamp_ns"], "ok", (), no_counts())
     today = frame_record(made, Site())
     known = {key: value for key, value in entry.items() if key not in ("schema", "grizzly")}
-    ores = [{"carries": [], "carried_by": [], **lump} for lump in entry["ores"]]
+    ores = [{"track": None, "carries": [], "carried_by": [], **lump} for lump in entry["ores"]]
     return today | known | {"stamp_source": stamp_source, "ores": ores}
 
 

@@ -1,6 +1,7 @@
 """The self-checks on made-up surfaces, pairs and lines whose fault is known."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,8 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from screens import DISTANCE, Screen, draw
+from test_tracks import lump
 
-from stereo_ore.config import GrizzlyConfig, HealthConfig
+from stereo_ore.config import Config, GrizzlyConfig, HealthConfig
 from stereo_ore.runs.folder import FrameLines
 from stereo_ore.runs.history import Watch
 from stereo_ore.stages.health import eye_doubts, rows, screen_doubts
@@ -211,15 +213,18 @@ def test_the_dark_is_told(flat_plane_pair: Any) -> None:
 def line(
     index: int, valid: int = 800, status: str = "ok", images: list[str] | None = None
 ) -> FrameLines:
-    counts = {"pixels": 1000, "disparities": valid, "targets": 2 * (status == "ok")}
+    counts = {"pixels": 1000, "disparities": valid, "targets": int(status == "ok")}
     record = {
         "frame": str(index),
         "status": status,
         "reasons": [],
         "counts": counts,
-        "targets": [1, 2],
+        "ores": [{"id": 1} | lump((0.0, 0.0, 2.0))],
+        "targets": [1] if status == "ok" else [],
+        "withheld": [],
+        "grizzly": None,
+        "tracks": {"started": [], "ended": []},
     }
-    record["targets"] = [1, 2] if status == "ok" else []
     inputs = {
         "frame": str(index),
         "images": images or [f"l{index}", f"r{index}"] if status != "failed" else None,
@@ -227,8 +232,12 @@ def line(
     return FrameLines(json.dumps(record), "{}", json.dumps(inputs))
 
 
+def watching(earlier: Sequence[FrameLines] = (), **changes: object) -> Watch:
+    return Watch(Config(health=HealthConfig(**changes)), earlier=earlier)
+
+
 def judged(lines: list[FrameLines], watch: Watch | None = None) -> list[list[str]]:
-    watch = watch or Watch(CONFIG)
+    watch = watch or watching()
     records = [json.loads(watch.judge(entry).record) for entry in lines]
     assert all(not (record["reasons"] and record["targets"]) for record in records)
     return [[reason["code"] for reason in record["reasons"]] for record in records]
@@ -243,44 +252,15 @@ def test_a_frozen_eye_is_told_also_after_a_frame_that_failed() -> None:
         line(4, images=["x", "r3"]),
     ]
     assert judged(frames) == [[], [], ["FRAME_FROZEN"], [], ["FRAME_FROZEN"]]
-    assert judged(frames, Watch(CONFIG.model_copy(update={"refuse_frozen": False}))) == [[]] * 5
+    assert judged(frames, watching(refuse_frozen=False)) == [[]] * 5
 
 
 def test_a_ring_buffer_that_repeats_itself_is_told() -> None:
     ring = [line(i, images=[f"l{i % 3}", f"r{i % 3}"]) for i in range(7)]
     assert judged(ring) == [[]] * 3 + [["FRAME_FROZEN"]] * 4
-    assert judged(ring, Watch(CONFIG.model_copy(update={"frozen_history": 2}))) == [[]] * 7
+    assert judged(ring, watching(frozen_history=2)) == [[]] * 7
     far = [line(i) for i in range(CONFIG.frozen_history)]
     assert judged([*far, line(64, images=["l0", "new"])])[-1] == ["FRAME_FROZEN"]
-
-
-def with_lumps(index: int, *middles: tuple[float, float, float]) -> FrameLines:
-    entry = line(index)
-    ores = [
-        {"id": i, "surface_centroid": {"camera": list(at)}, "reasons": []}
-        for i, at in enumerate(middles, 1)
-    ]
-    record = json.loads(entry.record) | {"ores": ores, "targets": [ore["id"] for ore in ores]}
-    return replace(entry, record=json.dumps(record))
-
-
-def confirmed(frames: list[FrameLines], confirm: bool = True) -> list[list[int]]:
-    watch = Watch(CONFIG.model_copy(update={"confirm": confirm}))
-    return [json.loads(watch.judge(entry).record)["targets"] for entry in frames]
-
-
-def test_what_the_frame_before_did_not_show_is_no_target_where_that_is_wanted() -> None:
-    still, near, flake = (0.5, 0.2, 3.0), (0.55, 0.2, 3.05), (0.0, 0.0, 2.0)
-    frames = [with_lumps(0, still), with_lumps(1, flake, near), with_lumps(2, still)]
-    assert confirmed(frames) == [[], [2], [1]]
-    assert confirmed(frames, confirm=False) == [[1], [1, 2], [1]]
-
-
-def test_an_unconfirmed_target_says_so_and_is_not_counted() -> None:
-    watch = Watch(CONFIG.model_copy(update={"confirm": True}))
-    record = json.loads(watch.judge(with_lumps(0, (0.0, 0.0, 2.0))).record)
-    assert (record["status"], record["counts"]["targets"]) == ("ok", 0)
-    assert [reason["code"] for reason in record["ores"][0]["reasons"]] == ["NOT_CONFIRMED"]
 
 
 def test_fewer_disparities_than_usual_are_told_for_as_long_as_they_last() -> None:
@@ -311,7 +291,7 @@ def test_a_continued_watch_judges_as_one_that_never_stopped(
         line(i, valid, status, [f"l{image}", f"r{i}"])
         for i, (valid, status, image) in enumerate(frames)
     ]
-    watch = Watch(CONFIG)
+    watch = watching()
     whole = [watch.judge(entry) for entry in lines]
-    later = Watch(CONFIG, whole[:stop])
+    later = watching(whole[:stop])
     assert [later.judge(entry) for entry in lines[stop:]] == whole[stop:]

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import pytest
 from typer.testing import CliRunner
 
 from stereo_ore.cli import app, load_verbs
@@ -13,11 +14,11 @@ from stereo_ore.stages.segment import model
 SCENE = Path(__file__).parents[1] / "data" / "paper_03"
 
 
-def run(out: Path, *options: str) -> object:
+def run(out: Path, *options: str, verb: str = "run") -> object:
     load_verbs()
     rig = ("--calib", str(SCENE / "calibration.yaml"), "--site", str(SCENE / "site.yaml"))
-    files = ("--no-report", "--no-clouds", "--no-overlays")
-    return CliRunner().invoke(app, ["run", str(SCENE), *rig, "--out", str(out), *files, *options])
+    files = ("--no-clouds", "--no-overlays", *(["--no-report"] if verb == "run" else []))
+    return CliRunner().invoke(app, [verb, str(SCENE), *rig, "--out", str(out), *files, *options])
 
 
 def test_a_run_tells_which_network_it_used_and_another_folder_is_another_run(tmp_path: Path):
@@ -34,8 +35,9 @@ def test_a_run_tells_which_network_it_used_and_another_folder_is_another_run(tmp
     assert isinstance(again.exception, ConfigError) or again.exit_code == 1
 
 
-def test_a_folder_without_a_network_ends_the_run_before_the_first_frame(tmp_path: Path):
-    done = run(tmp_path / "out", "--models", str(tmp_path))
+@pytest.mark.parametrize("verb", ["run", "serve"])
+def test_a_folder_without_a_network_ends_the_run_before_the_first_frame(tmp_path: Path, verb: str):
+    done = run(tmp_path / "out", "--models", str(tmp_path), verb=verb)
     assert isinstance(done.exception, ConfigError)
     assert done.exception.key == "models.lumps"
     assert not (tmp_path / "out").exists()

@@ -14,7 +14,7 @@ from typing import Any
 
 import node
 import pytest
-from live import free_port, make_message, wait_for
+from live import free_port, make_message, make_ore, make_record, wait_for
 
 pytest.importorskip("asyncua", reason="asyncua is not installed")
 
@@ -22,10 +22,11 @@ from asyncua import ua
 from asyncua.sync import Client
 
 from stereo_ore.plant.sinks import opcua, supervisor
-from stereo_ore.plant.sinks.message import Origin
+from stereo_ore.plant.sinks.message import Origin, message
 from stereo_ore.plant.sinks.opcua import OpcUaSink
 from stereo_ore.plant.sinks.opcua_model import CONTROL, NAMESPACE, OPCUA_SLOTS, PAYLOAD, UNITS
 from stereo_ore.plant.sinks.opcua_nodeset import nodeset
+from stereo_ore.version import __version__
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:asyncua")
 
@@ -90,7 +91,7 @@ def uint32(value: Any, status: int = CODES.Good, **times: Any) -> ua.DataValue:
 
 def beats(arm: Arm, times: int = 2) -> None:
     first = arm.read("Heartbeat").Value.Value
-    wait_for(lambda: arm.read("Heartbeat").Value.Value >= first + times, 5, what="heartbeat")
+    wait_for(lambda: arm.read("Heartbeat").Value.Value >= first + times, 30, what="heartbeat")
 
 
 FAR = datetime(9999, 12, 31, tzinfo=UTC)
@@ -193,7 +194,9 @@ def test_a_part_can_not_be_monitored_and_the_rest_can(sink: OpcUaSink, arm: Arm)
 
 
 def test_arrays_tell_their_rank_and_length(sink: OpcUaSink, arm: Arm):
-    lengths = {"Position": 48, "Direction": 48, "Size": 48, "Sigma": 48, "Reasons": 0}
+    lengths = dict.fromkeys(("Position", "Direction", "Size", "Sigma", "Centre"), 48)
+    lengths |= {"VolumeBounds": 32, "AlternatePosition": 144, "AlternateDirection": 144}
+    lengths["Reasons"] = 0
     lengths |= dict.fromkeys(("SequenceNumber", "Id", "Oversize", "Score", "Volume"), OPCUA_SLOTS)
     for name, variable in VARIABLES.items():
         found = arm.client.get_node(arm.id(name))
@@ -251,7 +254,7 @@ def test_a_heartbeat_that_dies_is_an_alarm_and_the_server_starts_again_with_the_
         with monkeypatch.context() as broken:
             broken.setattr(opcua, "_whole_number", lambda *_: 1 / 0)
             wait_for(lambda: "division by zero" in sink.state().alarm, what="alarm")
-        wait_for(lambda: not sink.state().alarm, what="restart")
+        wait_for(lambda: not sink.state().alarm, 60, what="restart")
         assert sink.state().restarts >= 1
         with Arm(sink.url) as arm:
             assert (arm.read("Sequence").Value.Value, arm.read("Valid").Value.Value) == (9, True)
@@ -267,6 +270,40 @@ def test_a_loop_that_hangs_is_an_alarm(monkeypatch):
             wait_for(lambda: "no heartbeat" in sink.state().alarm, what="alarm")
             hang.set()
         wait_for(lambda: not sink.state().alarm, what="heartbeat")
+
+
+def test_a_lump_is_told_with_centre_bounds_and_other_strikes(sink: OpcUaSink, arm: Arm):
+    lump = make_ore(1)
+    other = {"point": {"arm": [1.0, 2.0, 3.0]}, "direction": {"arm": [0.0, 1.0, 0.0]}, "score": 0.5}
+    half = other | {"point": {"arm": None}}
+    lump["strike"]["alternates"] = [other, half, other]
+    lump["centre_of_gravity"]["arm"] = [4.0, 5.0, 6.0]
+    show(sink, 11, ores=1)
+    sink.publish(message(make_record(11, ores=1) | {"ores": [lump]}, 12, Origin("s"),
+                         age_s=0.0, valid_for_s=60.0))  # fmt: skip
+    wait_for(lambda: arm.read("Sequence").Value.Value == 12, what="message")
+    assert arm.read("Centre").Value.Value[:3] == [4.0, 5.0, 6.0]
+    assert arm.read("VolumeBounds").Value.Value[:2] == [0.01, 0.03]
+    positions = arm.read("AlternatePosition").Value.Value
+    assert positions[:6] == [1.0, 2.0, 3.0] * 2
+    assert all(map(math.isnan, positions[6:]))
+    assert arm.read("AlternateDirection").Value.Value[3:6] == [0.0, 1.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("status", "state"), [("ok", 1), ("empty", 1), ("degraded", 4), ("failed", 4)]
+)
+def test_results_have_the_states_of_machine_vision(
+    sink: OpcUaSink, arm: Arm, status: str, state: int
+):
+    show(sink, 20 + state, status=status)
+    assert arm.read("ResultState").Value.Value == state
+
+
+def test_the_server_says_what_it_is(sink: OpcUaSink, arm: Arm):
+    build = arm.client.get_node(ua.ObjectIds.Server_ServerStatus_BuildInfo).read_value()
+    assert (build.ProductUri, build.ProductName) == ("urn:stereo-ore", "stereo-ore")
+    assert build.SoftwareVersion == __version__
 
 
 def random_value(rng: random.Random) -> ua.DataValue:
@@ -399,6 +436,11 @@ def test_node_opcua_loads_the_nodeset_with_units(tmp_path: Path):
     file = tmp_path / "model.xml"
     file.write_text(nodeset(), encoding="utf-8")
     rows = javascript("load", str(file))
+    kind = rows.pop("the type")
+    assert (kind["id"], kind["of"]) == ("StereoOreType", "BaseObjectType")
+    assert kind["mandatory"] == [
+        f"{variable.folder}.{variable.name}" for variable in (*PAYLOAD, *CONTROL)
+    ]
     assert rows.keys() == VARIABLES.keys()
     for name, variable in VARIABLES.items():
         row = rows[name]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stereo_ore.config.models import OrderConfig
-from stereo_ore.stages.order import order, passing
+from stereo_ore.stages.order import calmly, order, passing
 from stereo_ore.types import Plane, Reason, Site, Solid, Strike, StrikePlan
 
 CONFIG = OrderConfig(include="all")
@@ -94,3 +94,11 @@ def test_the_order_does_not_depend_on_the_order_of_the_rest() -> None:
     first = order(solids, plans, SITE, CONFIG)
     second = order([solids[i] for i in turned], [plans[i] for i in turned], SITE, CONFIG)
     assert tuple(int(turned[i - 1]) + 1 for i in second) == first
+
+
+def test_noise_does_not_change_the_order_of_the_frame_before() -> None:
+    total, before = np.array([5.0, 5.1, 5.9, 5.05]), [0, 1, 2, None]
+    assert calmly(total, before, CONFIG) == [2, 0, 3, 1]
+    assert calmly(total, before, OrderConfig(calm=2.0)) == [0, 1, 3, 2]
+    assert calmly(total, [None] * 4, CONFIG) == [2, 1, 3, 0]
+    assert calmly(np.array([1.0]), [None], CONFIG) == [0]

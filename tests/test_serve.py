@@ -21,7 +21,7 @@ from live import ListSink, free_port, names_in, running, wait_for
 from typer.testing import CliRunner
 
 from stereo_ore.cli import app, load_verbs
-from stereo_ore.config import HealthConfig
+from stereo_ore.config import Config
 from stereo_ore.errors import FrameError, OutputError, SourceError, StereoOreError
 from stereo_ore.io.lock import FolderLock
 from stereo_ore.io.recordings import open_source
@@ -118,7 +118,7 @@ def test_a_fault_of_ours_is_a_failed_frame_and_no_end(tmp_path):
         site = Site()
 
     driver = Driver(Chain(), FrameFiles(tmp_path), unattended=True)
-    record = json.loads(processing(driver, Watch(HealthConfig()))(frame).lines.record)
+    record = json.loads(processing(driver, Watch(Config()))(frame).lines.record)
     assert (record["status"], record["reasons"][0]["code"], record["targets"]) == (
         "failed",
         "INTERNAL_ERROR",

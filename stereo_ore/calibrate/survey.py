@@ -148,7 +148,12 @@ def _site(
     top = height_m if height_m is not None else _ABOVE * opening
     volume = Volume(T, np.array([*-half, -BELOW * opening]), np.array([*half, top]))
     return replace(
-        known, plane=screen.plane, opening_m=opening, bar_width_m=bars.width_m, volume=volume
+        known,
+        plane=screen.plane,
+        opening_m=opening,
+        cross_opening_m=screen.cross_opening_m,
+        bar_width_m=bars.width_m,
+        volume=volume,
     )
 
 

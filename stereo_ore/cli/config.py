@@ -10,6 +10,8 @@ from typing import Annotated, Literal
 
 import typer
 
+from stereo_ore.cli.options import Settings
+
 
 def register(app: typer.Typer) -> None:
     """Add the verb to the command line."""
@@ -25,9 +27,7 @@ def dump(
     config: Annotated[
         Path | None, typer.Argument(help="File whose values replace the defaults.")
     ] = None,
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", help="One parameter: key.sub=value.")
-    ] = None,
+    settings: Settings = None,
 ) -> None:
     """Print all parameters as commented YAML, ready to edit.
 
@@ -52,9 +52,10 @@ def validate(config: Annotated[Path, typer.Argument(help="File to check.")]) -> 
 
 def schema(
     part: Annotated[
-        Literal["parameters", "sinks", "targets", "frame"],
+        Literal["parameters", "sinks", "posture", "targets", "frame"],
         typer.Argument(
-            help="Parameters, the sinks file, a message to the arm, or a frame's record."
+            help="Parameters, the sinks file, a line of the arm's posture, a message to the arm,"
+            " or a frame's record."
         ),
     ] = "parameters",
 ) -> None:
@@ -65,7 +66,10 @@ def schema(
     """
     from importlib.resources import files
 
+    from pydantic import BaseModel
+
     from stereo_ore.config import Config
+    from stereo_ore.io.posture import PostureLine
     from stereo_ore.io.record_check import NEWEST
     from stereo_ore.plant.sinks.settings import SinksSettings
 
@@ -73,8 +77,12 @@ def schema(
         name = {"targets": "targets-1.json", "frame": NEWEST}[part]
         text = files("stereo_ore").joinpath("schema", name).read_text(encoding="utf-8")
     else:
-        model = Config if part == "parameters" else SinksSettings
-        text = json.dumps(model.model_json_schema(), indent=1)
+        models: dict[str, type[BaseModel]] = {
+            "parameters": Config,
+            "sinks": SinksSettings,
+            "posture": PostureLine,
+        }
+        text = json.dumps(models[part].model_json_schema(), indent=1)
     typer.echo(text.rstrip())
 
 

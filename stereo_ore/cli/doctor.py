@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from stereo_ore.cli.serve import ModbusPort, MqttPort, OpcUaPort, SinksFile, TcpPort
+from stereo_ore.cli.options import ModbusPort, MqttPort, OpcUaPort, SinksFile, TcpPort
 
 
 def register(app: typer.Typer) -> None:

@@ -8,8 +8,16 @@ from typing import Annotated
 
 import typer
 
+from stereo_ore.cli.options import (
+    FoxglovePort,
+    ModbusPort,
+    MqttPort,
+    OpcUaPort,
+    SinksFile,
+    TcpPort,
+    ValidFor,
+)
 from stereo_ore.cli.ros2 import Ros2Out, topics_out
-from stereo_ore.cli.serve import ModbusPort, MqttPort, OpcUaPort, SinksFile, TcpPort, ValidFor
 
 
 def register(app: typer.Typer) -> None:
@@ -32,6 +40,7 @@ def replay(
     tcp: TcpPort = None,
     modbus: ModbusPort = None,
     ros2_out: Ros2Out = False,
+    foxglove: FoxglovePort = None,
     valid_for: ValidFor = 5.0,
 ) -> None:
     """Publish the targets of a recorded run again, as `serve` does; every message says that it is a
@@ -45,7 +54,7 @@ def replay(
     from stereo_ore.plant.sinks.message import Origin, message, new_session, transform_id
     from stereo_ore.plant.sinks.settings import load_sinks, open_sinks, with_ros2
 
-    settings = load_sinks(sinks, opcua=opcua, mqtt=mqtt, tcp=tcp, modbus=modbus)
+    settings = load_sinks(sinks, opcua=opcua, mqtt=mqtt, tcp=tcp, modbus=modbus, foxglove=foxglove)
     settings = with_ros2(settings) if ros2_out else settings
     origin = Origin(new_session(), transform_id(saved_transform(folder)), replay=True)
     if dry_run:
@@ -53,11 +62,12 @@ def replay(
             typer.echo(message(record, sequence, origin, age_s=0.0, valid_for_s=valid_for).line())
         return
     consumers = open_sinks(settings, origin)
-    if settings.ros2 is not None:
+    if settings.ros2 is not None or settings.foxglove is not None:
         consumers += topics_out(settings, View.of_folder(folder, valid_for))
     if not consumers:
         raise typer.BadParameter(
-            "name a consumer: --opcua, --mqtt, --modbus, --tcp, --ros2-out or --sinks; or --dry-run"
+            "name a consumer: --opcua, --mqtt, --modbus, --tcp, --ros2-out, --foxglove or --sinks;"
+            " or --dry-run"
         )
     with Publisher(consumers, valid_for, origin) as publisher:
         start = time.monotonic()

@@ -74,7 +74,7 @@ def open_live(
 
 
 def topics_out(settings: SinksSettings, view: View | None) -> list[TargetSink]:
-    """The sink that publishes a run as topics, where that is wanted.
+    """The sinks that publish a run as topics, of ROS 2 and for Foxglove, as far as wanted.
 
     Raises
     ------
@@ -82,17 +82,26 @@ def topics_out(settings: SinksSettings, view: View | None) -> list[TargetSink]:
         Without ROS 2, or without the geometry of the images.
     """
     from stereo_ore.errors import OutputError
+    from stereo_ore.io.results import Results
 
-    if settings.ros2 is None:
-        return []
-    prefer_sourced()
-    from stereo_ore.plant.ros2.install import require
-    from stereo_ore.plant.ros2.sink import Ros2Sink
-
-    require()
+    found: list[TargetSink] = []
+    if settings.ros2 is None and settings.foxglove is None:
+        return found
     if view is None:
         raise OutputError("the run has kept no calibration", key="ros2", remedy="Repeat the run")
-    return [Ros2Sink(settings.ros2, view)]
+    if settings.ros2 is not None:
+        prefer_sourced()
+        from stereo_ore.plant.ros2.install import require
+        from stereo_ore.plant.ros2.sink import Ros2Sink
+
+        require()
+        found.append(Ros2Sink(settings.ros2, view))
+    if settings.foxglove is not None:
+        from stereo_ore.plant.sinks.foxglove import FoxgloveSink
+
+        there = settings.foxglove.host, settings.foxglove.port
+        found.append(FoxgloveSink(*there, Results(view.folder), view.T_arm_camera))
+    return found
 
 
 def live_view(out: Path, chain: Chain, valid_for_s: float, frame_id: str) -> View:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import sys
 from collections.abc import Iterator
@@ -11,6 +10,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from stereo_ore.cli.options import (
+    Clouds,
+    LeftTopic,
+    MaxSkew,
+    ModelsFolder,
+    Overlays,
+    Overwrite,
+    ParameterFile,
+    RightTopic,
+    Settings,
+    SiteFile,
+    parameters_of,
+)
 
 if TYPE_CHECKING:
     from stereo_ore.chain import Chain
@@ -38,27 +51,19 @@ def run(
         typer.Option("--calib", help="Calibration of the camera; a bag may carry its own."),
     ] = None,
     out: Annotated[Path, typer.Option("--out", help="Folder for the results.")] = ...,  # type: ignore[assignment]
-    site: Annotated[Path | None, typer.Option(help="Site: arm, working volume, grizzly.")] = None,
-    config: Annotated[
-        Path | None, typer.Option(help="Parameters that differ from the defaults.")
-    ] = None,
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", help="One parameter: key.sub=value.")
-    ] = None,
-    models: Annotated[
-        Path | None, typer.Option(help="Folder of the network of lumps, not the shipped one.")
-    ] = None,
+    site: SiteFile = None,
+    config: ParameterFile = None,
+    settings: Settings = None,
+    models: ModelsFolder = None,
     left: Annotated[
         Path | None, typer.Option(help="Left image, video or folder, instead of SOURCE.")
     ] = None,
     right: Annotated[
         Path | None, typer.Option(help="Right image, video or folder, instead of SOURCE.")
     ] = None,
-    left_topic: Annotated[str | None, typer.Option(help="Left image topic of a bag.")] = None,
-    right_topic: Annotated[str | None, typer.Option(help="Right image topic of a bag.")] = None,
-    max_skew_ms: Annotated[
-        float, typer.Option(min=0, help="Largest difference of the stamps of a pair.")
-    ] = 5.0,
+    left_topic: LeftTopic = None,
+    right_topic: RightTopic = None,
+    max_skew_ms: MaxSkew = 5.0,
     start_time: Annotated[
         str | None,
         typer.Option(
@@ -78,18 +83,14 @@ def run(
     pictures: Annotated[
         bool, typer.Option("--pictures", help="Also write pictures/FRAME.png: ores in space.")
     ] = False,
-    clouds: Annotated[
-        bool, typer.Option("--clouds/--no-clouds", help="Write clouds/FRAME.ply.")
-    ] = True,
+    clouds: Clouds = True,
     arm_clouds: Annotated[
         bool,
         typer.Option(
             "--arm-clouds", help="Write arm_clouds/FRAME.ply too: the same in the arm's frame."
         ),
     ] = False,
-    overlays: Annotated[
-        bool, typer.Option("--overlays/--no-overlays", help="Write overlays/FRAME.png.")
-    ] = True,
+    overlays: Overlays = True,
     start: Annotated[int, typer.Option(min=0, help="First frame, counted from 0.")] = 0,
     stop: Annotated[int | None, typer.Option(min=0, help="Frame to stop before.")] = None,
     every: Annotated[
@@ -104,9 +105,7 @@ def run(
     resume: Annotated[
         bool, typer.Option("--resume", help="Continue a run that was stopped.")
     ] = False,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace a different run in --out.")
-    ] = False,
+    overwrite: Overwrite = False,
     strict: Annotated[
         bool, typer.Option("--strict", help="Stop at the first frame that fails.")
     ] = False,
@@ -125,7 +124,7 @@ def run(
     from stereo_ore.chain import Chain
     from stereo_ore.cli.recording import calibration_for, open_for_command
     from stereo_ore.draw.figures import require_matplotlib
-    from stereo_ore.io.parameters import load_config
+    from stereo_ore.io.posture import recorded_postures
     from stereo_ore.io.recordings import describe_recording, expect_eyes, limit_pixels
     from stereo_ore.io.recordings.retimed import parse_time, retime
     from stereo_ore.io.site import load_site
@@ -142,15 +141,15 @@ def run(
         strict, workers, scheduler, arm_clouds,
     )  # fmt: skip
     more = [f"matching.fuse={fuse}"] if fuse else []
-    more += [f"models.lumps={json.dumps(str(models))}"] if models else []
-    parameters = load_config(config, [*(settings or ()), *more])
+    parameters = parameters_of(config, settings, models, *more)
     recording = open_for_command(source, left, right, (left_topic, right_topic), max_skew_ms)
     recording = limit_pixels(recording, parameters.source.max_pixels)
     calibration = calibration_for(recording, calib)
     _log.info("%s", describe_recording(recording))
     recording = expect_eyes(recording, calibration.image_size)
     recording = retime(recording, None if start_time is None else parse_time(start_time), fps)
-    chain = Chain(calibration, load_site(site) if site else None, parameters)
+    place = load_site(site) if site else None
+    chain = Chain(calibration, place, parameters, recorded_postures(place))
     _log.info("%s", _frames(len(select(recording, chain, options))))
     announce(chain)
     with _progress() as progress:

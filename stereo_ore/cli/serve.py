@@ -16,6 +16,26 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from stereo_ore.cli.options import (
+    Clouds,
+    FoxglovePort,
+    LeftTopic,
+    MaxSkew,
+    ModbusPort,
+    ModelsFolder,
+    MqttPort,
+    OpcUaPort,
+    Overlays,
+    Overwrite,
+    ParameterFile,
+    RightTopic,
+    Settings,
+    SinksFile,
+    SiteFile,
+    TcpPort,
+    ValidFor,
+    parameters_of,
+)
 from stereo_ore.cli.ros2 import Ros2Out, live_view, open_live, topics_out
 
 if TYPE_CHECKING:
@@ -67,30 +87,6 @@ class Live:
     retention: Retention | None = None
 
 
-SinksFile = Annotated[
-    Path | None, typer.Option("--sinks", help="File of consumers: addresses, certificates, users.")
-]
-OpcUaPort = Annotated[
-    int | None,
-    typer.Option("--opcua", min=1, max=65535, help="Serve OPC UA on this loopback port."),
-]
-MqttPort = Annotated[
-    int | None, typer.Option("--mqtt", min=1, max=65535, help="Port of a broker on this machine.")
-]
-TcpPort = Annotated[
-    int | None,
-    typer.Option("--tcp", min=0, max=65535, help="Serve JSON lines on this loopback port."),
-]
-ModbusPort = Annotated[
-    int | None,
-    typer.Option("--modbus", min=1, max=65535, help="Serve Modbus TCP on this loopback port."),
-]
-ValidFor = Annotated[
-    float,
-    typer.Option("--valid-for", min=0.1, max=60, help="Seconds for which a frame's targets hold."),
-]
-
-
 def register(app: typer.Typer) -> None:
     """Add the verb to the command line."""
     app.command()(serve)
@@ -109,13 +105,9 @@ def serve(
     ros2: Annotated[
         bool, typer.Option("--ros2", help="Topics of a camera's ROS 2 driver.")
     ] = False,
-    left_topic: Annotated[
-        str | None, typer.Option(help="Image topic of the left eye; default: as drivers name it.")
-    ] = None,
-    right_topic: Annotated[str | None, typer.Option(help="Image topic of the right eye.")] = None,
-    max_skew_ms: Annotated[
-        float, typer.Option(min=0, help="Stamps of a pair of topics are at most so far apart [ms].")
-    ] = 5.0,
+    left_topic: LeftTopic = None,
+    right_topic: RightTopic = None,
+    max_skew_ms: MaxSkew = 5.0,
     calib: Annotated[
         Path | None,
         typer.Option("--calib", help="Calibration of the camera; bags and topics have their own."),
@@ -123,19 +115,17 @@ def serve(
     out: Annotated[
         Path, typer.Option("--out", help="Folder for the results; a run in it goes on.")
     ] = ...,  # type: ignore[assignment]
-    site: Annotated[Path | None, typer.Option(help="Site: arm, working volume, grizzly.")] = None,
-    config: Annotated[
-        Path | None, typer.Option(help="Parameters that differ from the defaults.")
-    ] = None,
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", help="One parameter: key.sub=value.")
-    ] = None,
+    site: SiteFile = None,
+    config: ParameterFile = None,
+    settings: Settings = None,
+    models: ModelsFolder = None,
     sinks: SinksFile = None,
     opcua: OpcUaPort = None,
     mqtt: MqttPort = None,
     tcp: TcpPort = None,
     modbus: ModbusPort = None,
     ros2_out: Ros2Out = False,
+    foxglove: FoxglovePort = None,
     size: Annotated[
         str | None,
         typer.Option(
@@ -178,15 +168,9 @@ def serve(
             " clouds=7d,20GB. Repeatable.",
         ),
     ] = None,
-    clouds: Annotated[
-        bool, typer.Option("--clouds/--no-clouds", help="Write filtered clouds.")
-    ] = True,
-    overlays: Annotated[
-        bool, typer.Option("--overlays/--no-overlays", help="Write overlays.")
-    ] = True,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace a different run in --out.")
-    ] = False,
+    clouds: Clouds = True,
+    overlays: Overlays = True,
+    overwrite: Overwrite = False,
 ) -> None:
     """Frames as they arrive → records, and targets to the arm's side; stop with Ctrl-C.
 
@@ -198,11 +182,11 @@ def serve(
     """
     from stereo_ore.chain import Chain
     from stereo_ore.cli.run import announce
-    from stereo_ore.io.parameters import load_config
     from stereo_ore.io.site import load_site
     from stereo_ore.plant.live_files import LiveFiles
     from stereo_ore.plant.live_folder import LiveFolder
     from stereo_ore.plant.loop import processing
+    from stereo_ore.plant.posture import postures_of
     from stereo_ore.plant.retention import Retention, parse_limits
     from stereo_ore.plant.sinks.message import Origin, new_session, transform_id
     from stereo_ore.plant.sinks.settings import load_sinks, open_sinks, with_ros2
@@ -210,11 +194,14 @@ def serve(
     from stereo_ore.runs.driver import Driver
     from stereo_ore.runs.history import Watch
     from stereo_ore.runs.identity import InputFiles, description, write_inputs
+    from stereo_ore.types import Site
 
     limits = parse_limits(keep or ())
-    consumer_settings = load_sinks(sinks, opcua=opcua, mqtt=mqtt, tcp=tcp, modbus=modbus)
+    consumer_settings = load_sinks(
+        sinks, opcua=opcua, mqtt=mqtt, tcp=tcp, modbus=modbus, foxglove=foxglove
+    )
     consumer_settings = with_ros2(consumer_settings) if ros2_out else consumer_settings
-    parameters = load_config(config, settings or [])
+    parameters = parameters_of(config, settings, models)
     eye, most = _size(size), parameters.source.max_pixels
     watched = Folder(watch, queue, age is Age.FILES) if watch else None
     if ros2:
@@ -222,7 +209,8 @@ def serve(
         frames, calibration = open_live((left_topic, right_topic), max_skew_ms, calib, eye, most)
     else:
         frames, calibration = _open(source, watched, camera, calib, eye, most)
-    chain = Chain(calibration, load_site(site) if site else None, parameters)
+    place = load_site(site) if site else Site()
+    chain = Chain(calibration, place, parameters)
     announce(chain)
     origin = Origin(new_session(), transform_id(chain.site.T_arm_camera))
     consumers = open_sinks(consumer_settings, origin)
@@ -233,11 +221,12 @@ def serve(
     about = description(frames.name, chain, inputs, **_own_calibration(ros2, calib, calibration))
     with (
         _alone(watch),
+        postures_of(place) as chain.postures,
         LiveFolder(
             out, about, lambda: write_inputs(out, chain, inputs), overwrite=overwrite
         ) as folder,
     ):
-        watcher = Watch(parameters.health, folder.recent(RECENT))
+        watcher = Watch(parameters, chain.site, folder.recent(RECENT))
         files = LiveFiles(out, clouds=clouds, overlays=overlays)
         process = processing(Driver(chain, files, unattended=True), watcher)
         live = Live(frames, process, folder, consumers, origin, valid_for)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from stereo_ore.cli.calibrate.options import writing
+from stereo_ore.cli.options import ParameterFile
 
 if TYPE_CHECKING:
     from stereo_ore.types import RectifiedPair, StereoCalibration
@@ -19,9 +20,6 @@ Recorded = Annotated[
 ]
 Calib = Annotated[
     Path | None, typer.Option("--calib", help="Calibration of the recording; a bag has its own.")
-]
-Parameters = Annotated[
-    Path | None, typer.Option("--config", help="Parameters that differ from the defaults.")
 ]
 Frames = Annotated[int, typer.Option(min=1, max=100, help="How many frames, from the first.")]
 
@@ -42,9 +40,15 @@ def make(
         Path | None,
         typer.Option("--site", help="Site file whose arm, reach and keep_out are taken over."),
     ] = None,
-    config: Parameters = None,
+    config: ParameterFile = None,
     opening_m: Annotated[
         float | None, typer.Option(min=0.005, max=3, help="Clear distance of two bars, measured.")
+    ] = None,
+    cross_opening_m: Annotated[
+        float | None,
+        typer.Option(
+            min=0.005, max=3, help="That of the bars across, in a grid; with --opening-m."
+        ),
     ] = None,
     bar_width_m: Annotated[
         float | None, typer.Option(min=0.001, max=1, help="Width of a bar, measured.")
@@ -73,10 +77,13 @@ def make(
     from stereo_ore.types import Site
 
     calibration = calibration_for(open_source(source), calib)
+    if cross_opening_m is not None and opening_m is None:
+        raise typer.BadParameter("give --opening-m with --cross-opening-m")
     known = load_site(base) if base else Site()
     known = replace(
         known,
         opening_m=known.opening_m if opening_m is None else opening_m,
+        cross_opening_m=known.cross_opening_m if cross_opening_m is None else cross_opening_m,
         bar_width_m=known.bar_width_m if bar_width_m is None else bar_width_m,
     )
     found = survey(_pairs(source, calibration, frames), known, load_config(config, ()), height_m)
@@ -106,7 +113,7 @@ def check(
     site: Annotated[Path, typer.Argument(help="Site file.")],
     source: Recorded,
     calib: Calib = None,
-    config: Parameters = None,
+    config: ParameterFile = None,
     frames: Frames = 8,
 ) -> None:
     """Find the screen anew and compare; ends with 3 where the site file says something else.

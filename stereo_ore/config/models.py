@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -292,11 +293,19 @@ class StrikeConfig(StageConfig):
     alternates: int = param(3, "ranked alternates reported", ge=0)
 
 
+MOST_CONFIRMING = 100
+"""Frames that may be asked to confirm a target."""
+
+
 class OrderConfig(StageConfig):
     """Which lump to break first: a weighted sum, highest first."""
 
     include: Literal["oversize", "all"] = param(
         "oversize", "what is a target: lumps that can't pass or may be unable to, or all lumps"
+    )
+    confirm: str = param(
+        "1 of 1",
+        "N of M: a target must have been the same lump in N of the last M good frames",
     )
     oversize_weight: float = param(
         4.0, "for a lump that can't pass; half of it when that is unknown", ge=0
@@ -311,6 +320,24 @@ class OrderConfig(StageConfig):
     resolution: float = param(
         0.02, "differences of the sum below this are ties, which the id decides", gt=0
     )
+    calm: float = param(
+        0.25, "difference of the sums that changes the order of the frame before", ge=0
+    )
+
+    @field_validator("confirm")
+    @classmethod
+    def _n_of_m(cls, value: str) -> str:
+        """Refuse what is not N of M frames, with N up to M."""
+        words = re.fullmatch(r"(\d{1,3}) of (\d{1,3})", value)
+        if words is None or not 1 <= int(words[1]) <= int(words[2]) <= MOST_CONFIRMING:
+            raise ValueError(f"must be N of M, as 3 of 5, with 1 ≤ N ≤ M ≤ {MOST_CONFIRMING}")
+        return value
+
+    @property
+    def confirming(self) -> tuple[int, int]:
+        """N and M of `confirm`."""
+        n, _, m = self.confirm.split()
+        return int(n), int(m)
 
 
 class HealthConfig(StageConfig):
@@ -363,9 +390,6 @@ class HealthConfig(StageConfig):
     )
     frozen_history: int = param(
         64, "earlier frames looked at: a ring buffer repeats itself", ge=1, le=10_000
-    )
-    confirm: bool = param(
-        False, "a target must have been a lump at the same place in the frame before"
     )
     min_of_usual: float = param(
         0.6, "share of the valid disparities that good frames before had", ge=0, lt=1

@@ -10,20 +10,18 @@ from pathlib import Path
 from typing import Any
 
 from stereo_ore.errors import MissingExtraError, OutputError
-from stereo_ore.export.ros_types import VISION_MSGS
 from stereo_ore.io.atomic import guarded
 from stereo_ore.io.results import Results
-from stereo_ore.io.ros_frame import Base, RosFrame, Types
-from stereo_ore.record import to_line
+from stereo_ore.io.ros_channels import (
+    STATIC_TOPIC,
+    Topical,
+    files_of,
+    found_in,
+    stamp_of,
+    typestore,
+)
+from stereo_ore.io.ros_frame import RosFrame, Types
 from stereo_ore.types import Json
-
-_STATIC = "/tf_static"
-UNKNOWN_PERIOD_NS = 1_000_000_000
-"""Frames without a stamp are put this far apart, from the beginning of time on: no stamp is made up
-that looks real."""
-
-_Message = tuple[str, Any]
-"""Topic and message."""
 
 
 def write_mcap(results: Results, path: Path) -> Path:
@@ -44,14 +42,11 @@ def write_mcap(results: Results, path: Path) -> Path:
     """
     try:
         from rosbags.rosbag2 import StoragePlugin, Writer
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     except ImportError:
         raise MissingExtraError("rosbags", "bags") from None
     if path.exists():
         raise OutputError("exists already", file=path, remedy="Name another folder, or remove it")
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    for name, definition in VISION_MSGS.items():
-        store.register(get_types_from_msg(definition, name))
+    store = typestore()
     records = results.records
 
     def write() -> None:
@@ -63,7 +58,7 @@ def write_mcap(results: Results, path: Path) -> Path:
                     results, record, store.types, first=record is records[0]
                 ):
                     if topic not in connections:
-                        offered = _latched() if topic == _STATIC else ()
+                        offered = _latched() if topic == STATIC_TOPIC else ()
                         connections[topic] = bag.add_connection(
                             topic,
                             message.__msgtype__,
@@ -115,25 +110,10 @@ def _latched() -> tuple[Any, ...]:
     )
 
 
-def stamp_of(record: Json) -> int:
-    """The frame's stamp [ns], or its place in time when it has none."""
-    return int(
-        record["stamp_ns"]
-        if record["stamp_ns"] is not None
-        else record["index"] * UNKNOWN_PERIOD_NS
-    )
-
-
-def _messages(results: Results, record: Json, types: Types, first: bool) -> Iterable[_Message]:
+def _messages(results: Results, record: Json, types: Types, first: bool) -> Iterable[Topical]:
     """All messages of a frame."""
-    ros, frame = RosFrame(types, stamp_of(record)), record["frame"]
     if first and results.site.T_arm_camera is not None:
-        yield _STATIC, ros.transform(results.site.T_arm_camera)
-    if (cloud := results.cloud(frame)) is not None:
-        yield "/stereo_ore/cloud", ros.cloud(cloud)
-    yield "/stereo_ore/ores", ros.detections(record)
-    base: Base = "arm" if record["arm_frame"] else "camera"
-    yield "/stereo_ore/targets", ros.targets(record, base, record["targets"])
-    if (overlay := results.overlay(frame)) is not None:
-        yield "/stereo_ore/overlay", ros.picture(overlay.read_bytes())
-    yield "/stereo_ore/record", types["std_msgs/msg/String"](data=to_line(record))
+        ros = RosFrame(types, stamp_of(record))
+        yield STATIC_TOPIC, ros.transform(results.site.T_arm_camera)
+    yield from files_of(results, record, types)
+    yield from found_in(record, types, record["targets"])

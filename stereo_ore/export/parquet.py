@@ -45,7 +45,7 @@ _KEYS = {
     "date": "date32",
 }
 _ORE_TYPES = {
-    **dict.fromkeys(("id", "target_rank"), "int32"),
+    **dict.fromkeys(("id", "target_rank", "track"), "int32"),
     **dict.fromkeys(("points", "pixels"), "int64"),
     **dict.fromkeys(("oversize", "cut"), "bool"),
     "reasons": "list<string>",

@@ -29,6 +29,7 @@ FIELDS = (
     "reasons",
     "stamp_utc",
     "stamp_source",
+    "track",
 )
 """Columns of ores.csv; units are in the names."""
 
@@ -61,6 +62,7 @@ def ore_row(frame: Json, ore: Json) -> Json:
         "reasons": [r["code"] for r in ore["reasons"]],
         "stamp_utc": utc(frame["stamp_ns"]),
         "stamp_source": frame.get("stamp_source"),
+        "track": track["number"] if (track := ore.get("track")) else None,
     }
     centre = ore["centre_of_gravity"] or {}
     for name, values in (

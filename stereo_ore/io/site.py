@@ -15,9 +15,10 @@ from stereo_ore.config.fields import Number, Section
 from stereo_ore.config.validation import validate
 from stereo_ore.errors import ConfigError
 from stereo_ore.io import keep_out as places
+from stereo_ore.io.posture import PostureSection, posture_document
 from stereo_ore.io.yaml_io import load_yaml
 from stereo_ore.transforms import inverse, nearest_rotation, rotate, rotation_fault
-from stereo_ore.types import F64, Plane, Site, Survey, Volume
+from stereo_ore.types import F64, BarProfile, Plane, Site, Survey, Volume
 
 _log = logging.getLogger(__name__)
 
@@ -60,6 +61,8 @@ def _plane_or_auto(value: object) -> object:
 
 class _Grizzly(Section):
     opening_m: Length | None = None
+    openings_m: tuple[Length, Length] | None = None
+    bar_profile: BarProfile = "flat"
     bar_width_m: Length | None = None
     plane: Annotated[_Plane | None, BeforeValidator(_plane_or_auto)] = None
 
@@ -101,6 +104,7 @@ class _File(Section):
     keep_out: Annotated[tuple[places.Entry, ...], Field(max_length=64)] = ()
     hand_eye: HandEyeRecord | None = None
     survey: SurveyRecord | None = None
+    posture: PostureSection | None = None
 
 
 def load_site(path: str | Path) -> Site:
@@ -143,6 +147,8 @@ def _faults(file: _File) -> list[str]:
             )
     if file.grizzly.plane and not any(file.grizzly.plane.normal):
         found.append("grizzly.plane.normal: must not be zero")
+    if file.grizzly.opening_m is not None and file.grizzly.openings_m is not None:
+        found.append("grizzly: opening_m is of slots, openings_m of a grid: give one of them")
     for name, part in (
         ("working_volume", file.working_volume),
         ("grizzly.plane", file.grizzly.plane),
@@ -154,6 +160,8 @@ def _faults(file: _File) -> list[str]:
         found.append(
             "working_volume: is in the screen's frame, but screen_from_camera is not given"
         )
+    if file.posture and file.arm_from_camera is None:
+        found.append("posture: is in the arm frame, but arm_from_camera is not given")
     found += places.faults(file.keep_out, file.arm_from_camera is not None)
     return found
 
@@ -188,6 +196,7 @@ def _length_faults(file: _File) -> list[str]:
         lengths.append(("grizzly.plane.offset_m", [_offset(grizzly.plane)], 0.0, _FARTHEST_M))
     for name, value, limits in (
         ("opening_m", grizzly.opening_m, OPENING_M),
+        *(("openings_m", side, OPENING_M) for side in grizzly.openings_m or ()),
         ("bar_width_m", grizzly.bar_width_m, BAR_WIDTH_M),
     ):
         lengths += [] if value is None else [(f"grizzly.{name}", [value], *limits)]
@@ -227,13 +236,16 @@ def _site(file: _File, path: Path) -> Site:
             np.array(box.max_m),
         ),
         plane=None if grizzly.plane is None else _camera_plane(grizzly.plane, T_arm_camera),
-        opening_m=grizzly.opening_m,
+        opening_m=grizzly.openings_m[0] if grizzly.openings_m else grizzly.opening_m,
+        cross_opening_m=grizzly.openings_m[1] if grizzly.openings_m else None,
+        bar_profile=grizzly.bar_profile,
         bar_width_m=grizzly.bar_width_m,
         background=None if file.background is None else path.parent / file.background,
         reach_min_m=None if reach is None else np.array(reach.min_m),
         reach_max_m=None if reach is None else np.array(reach.max_m),
         survey=_survey(file.survey),
         keep_out=tuple(places.in_camera(entry, T_arm_camera) for entry in file.keep_out),
+        posture=file.posture.link(path.parent) if file.posture else None,
     )
 
 
@@ -315,6 +327,9 @@ def save_site(
         document["reach"] = _box(site.reach_min_m, site.reach_max_m)
     if site.keep_out:
         document["keep_out"] = [places.document(place) for place in site.keep_out]
+    if link := site.posture:
+        file = None if link.file is None else _relative(link.file, path.parent)
+        document["posture"] = posture_document(link, file)
     for key, record in (("hand_eye", hand_eye), ("survey", survey)):
         if record is not None:
             document[key] = record.model_dump(mode="json")
@@ -367,6 +382,10 @@ def save_arm(
 def _grizzly(site: Site) -> dict[str, Any]:
     sizes = {"opening_m": site.opening_m, "bar_width_m": site.bar_width_m}
     section: dict[str, Any] = {key: value for key, value in sizes.items() if value is not None}
+    if site.cross_opening_m is not None:
+        section["openings_m"] = [section.pop("opening_m"), site.cross_opening_m]
+    if site.bar_profile != "flat":
+        section["bar_profile"] = site.bar_profile
     plane = site.plane
     section["plane"] = (
         "auto"

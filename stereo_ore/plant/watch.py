@@ -255,9 +255,10 @@ class FolderWatch:
         """Say once when the clock of the files is not this machine's, by a frame that has come
         since the last look, `quiet_s` ago.
         """
-        late_s = (self._clock.time_ns() - (_stated_ns(waiting) or 0)) / 1e9
-        slack_s = MOST_SKEW_S + (quiet_s if late_s > 0 else 0)
-        if self._told_skew or not _stated_ns(waiting) or abs(late_s) <= slack_s:
+        late_s = _late_s(waiting, self._clock.time_ns())
+        if self._told_skew or late_s is None:
+            return
+        if abs(late_s) <= MOST_SKEW_S + (quiet_s if late_s > 0 else 0):
             return
         self._told_skew = True
         counted = (
@@ -329,12 +330,12 @@ class FolderWatch:
         """When a frame was taken at the latest, by this machine's clock; None: not asked, or
         unknown.
         """
-        stated_ns = _stated_ns(waiting)
-        if not self._trust or stated_ns is None:
+        stated_ns, late_s = _stated_ns(waiting), _late_s(waiting, arrived_ns)
+        if not self._trust or stated_ns is None or late_s is None:
             return None
         if waiting.seen_s is None:
             return stated_ns
-        self._late.append((arrived_ns - stated_ns) / 1e9)
+        self._late.append(late_s)
         least, most = min(self._late), max(self._late)
         alike = len(self._late) == _ALIKE and most - least <= MOST_SKEW_S
         return stated_ns + round(1e9 * least) if alike and 0 < least <= MOST_OFFSET_S else stated_ns
@@ -345,6 +346,12 @@ def _stated_ns(waiting: _Waiting) -> int | None:
     stamp_ns = name_stamp(waiting.arrival.name) or 0
     stamps = [stamp_ns] if STAMPS_FROM_NS <= stamp_ns < STAMPS_TO_NS else []
     return min([*stamps, *filter(None, (waiting.written_ns,))], default=None)
+
+
+def _late_s(waiting: _Waiting, arrived_ns: int) -> float | None:
+    """Time from when a frame was taken to `arrived_ns` [s]; None where the former is unknown."""
+    stated_ns = _stated_ns(waiting)
+    return None if stated_ns is None else (arrived_ns - stated_ns) / 1e9
 
 
 def _after_waiting(fault: FrameError, waited_s: float) -> FrameError:

@@ -17,17 +17,15 @@ from typing import Any
 
 import numpy as np
 
-from stereo_ore.config import HealthConfig
+from stereo_ore.config import Config
 from stereo_ore.record import to_line
 from stereo_ore.runs.folder import FrameLines
+from stereo_ore.runs.tracks import Tracks
 from stereo_ore.threads import pool
-from stereo_ore.types import F64, U8, FrameResult, Json, Reason
+from stereo_ore.types import U8, FrameResult, Json, Reason, Site
 
 FEWEST_GOOD = 5
 """Good frames that are needed to say what is usual."""
-SAME_M, SAME_SHARE = 0.03, 0.03
-"""A lump is one of the frame before when the middles of what is seen are this near, or this share
-of the distance."""
 
 
 def fingerprints(result: FrameResult) -> list[str] | None:
@@ -45,43 +43,41 @@ class Watch:
 
     Parameters
     ----------
-    config : HealthConfig
-        Limits.
+    config : Config
+        Limits (`health`), and what confirms a target (`order`).
+    site : Site
+        The arm's reach, for the order of targets.
     earlier : iterable of FrameLines
         Lines of the run that is continued, in order, as they were written.
     """
 
-    def __init__(self, config: HealthConfig, earlier: Iterable[FrameLines] = ()) -> None:
-        self._config = config
-        self._good: deque[float] = deque(maxlen=config.history)
-        self._images: deque[list[str]] = deque(maxlen=config.frozen_history)
-        self._lumps = np.empty((0, 3))
+    def __init__(
+        self, config: Config, site: Site | None = None, earlier: Iterable[FrameLines] = ()
+    ) -> None:
+        self._config = config.health
+        self._good: deque[float] = deque(maxlen=config.health.history)
+        self._images: deque[list[str]] = deque(maxlen=config.health.frozen_history)
+        self._tracks = Tracks(config, site or Site())
         for lines in earlier:
             self._remember(json.loads(lines.record), _images(lines))
 
     def judge(self, lines: FrameLines) -> FrameLines:
         """The lines of the next frame; its record is degraded, without targets, where its
-        predecessors say so.
+        predecessors say so, and its lumps are those of the frames before.
         """
-        read = record = json.loads(lines.record)
+        record = json.loads(lines.record)
         images = _images(lines)
         reasons = (
             () if record["status"] == "failed" else (*self._frozen(images), *self._fallen(record))
         )
-        if reasons:
-            record = degraded(record, reasons)
-        elif self._config.confirm:
-            record = _confirmed(record, self._lumps)
-        if record is not read:
-            lines = replace(lines, record=to_line(record))
+        record = degraded(record, reasons) if reasons else self._tracks.follow(record)
         self._remember(record, images)
-        return lines
+        return replace(lines, record=to_line(record))
 
     def _remember(self, record: Json, images: list[str] | None) -> None:
         if images:
             self._images.append(images)
-        if self._config.confirm:
-            self._lumps = _middles(record)
+        self._tracks.remember(record)
         if record["status"] in ("ok", "empty"):
             self._good.append(_valid_share(record))
 
@@ -124,40 +120,6 @@ def _images(lines: FrameLines) -> list[str] | None:
 def _valid_share(record: Json) -> float:
     counts = record["counts"]
     return float(counts["disparities"] / max(counts["pixels"], 1))
-
-
-def _middles(record: Json) -> F64:
-    """Middles of what is seen of the lumps (N, 3) [m]."""
-    return np.array([ore["surface_centroid"]["camera"] for ore in record["ores"]], float).reshape(
-        -1, 3
-    )
-
-
-def _confirmed(record: Json, before: F64) -> Json:
-    """The record without targets that the frame before did not show: what flies is elsewhere in
-    each.
-    """
-    new = [
-        id
-        for id, middle in zip((ore["id"] for ore in record["ores"]), _middles(record), strict=True)
-        if not (np.linalg.norm(before - middle, axis=1) < max(SAME_M, SAME_SHARE * middle[2])).any()
-    ]
-    if not set(new) & set(record["targets"]):
-        return record
-    reason = {
-        "code": "NOT_CONFIRMED",
-        "detail": "the frame before shows no lump here (health.confirm)",
-    }
-    ores = [
-        ore | {"reasons": [*ore["reasons"], reason]} if ore["id"] in new else ore
-        for ore in record["ores"]
-    ]
-    targets = [id for id in record["targets"] if id not in new]
-    return record | {
-        "ores": ores,
-        "targets": targets,
-        "counts": record["counts"] | {"targets": len(targets)},
-    }
 
 
 def degraded(record: Json, reasons: Iterable[Reason]) -> dict[str, Any]:

@@ -40,7 +40,12 @@ class InputFiles:
 
 def description(source: str, chain: Chain, files: InputFiles, **more: Any) -> dict[str, Any]:
     """Versions, parameters, and the SHA-256 of every file that the results depend on."""
-    given = {**vars(files), "background": chain.site.background}
+    link = chain.site.posture
+    given = {
+        **vars(files),
+        "background": chain.site.background,
+        "posture": link.file if link else None,
+    }
     hashes = {
         key: {"path": str(path), "sha256": sha256(path)} for key, path in given.items() if path
     }

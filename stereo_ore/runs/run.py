@@ -112,7 +112,8 @@ def _do_frames(
     """Process what is left of the frames, on this machine or by the workers of a cluster."""
     done, total = folder.done, len(indices)
     todo = indices[done:]
-    watch = Watch(job.driver.chain.config.health, folder.earlier())
+    chain = job.driver.chain
+    watch = Watch(chain.config, chain.site, folder.earlier())
     progress(done, total)
     with _stoppable():
         scheduler = options.scheduler

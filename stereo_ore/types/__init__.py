@@ -41,7 +41,17 @@ from stereo_ore.types.results import (
     Strike,
     StrikePlan,
 )
-from stereo_ore.types.site import Capsule, KeepOut, Polygon, Site, Survey
+from stereo_ore.types.site import (
+    BarProfile,
+    Capsule,
+    KeepOut,
+    Polygon,
+    Posture,
+    PostureLink,
+    Postures,
+    Site,
+    Survey,
+)
 from stereo_ore.types.stages import (
     Background,
     Bars,
@@ -75,6 +85,7 @@ __all__ = [
     "RELIEF_WINDOWS_PX",
     "U8",
     "Background",
+    "BarProfile",
     "Bars",
     "CameraModel",
     "Capsule",
@@ -92,6 +103,9 @@ __all__ = [
     "Plane",
     "PointCloud",
     "Polygon",
+    "Posture",
+    "PostureLink",
+    "Postures",
     "Reason",
     "RectifiedPair",
     "Region",

@@ -153,13 +153,14 @@ class Ore:
 class ForeignBody:
     """Something in view that is no ore.
 
-    `source` is "site" for a place of the site's `keep_out` in which something was seen, "image" for
-    what looks like no ore; `pixels` it covers, which are the `share` of the part of the image that
-    was looked at; `outline_px` (K, 2) of its largest part in the left rectified image.
+    `source` is "site" for a place of the site's `keep_out` in which something was seen, "arm" for a
+    part of the arm where its posture has it, "image" for what looks like no ore; `pixels` it
+    covers, which are the `share` of the part of the image that was looked at; `outline_px` (K, 2)
+    of its largest part in the left rectified image.
     """
 
     name: str
-    source: Literal["site", "image"]
+    source: Literal["site", "arm", "image"]
     pixels: int
     share: float
     outline_px: I32
@@ -172,6 +173,8 @@ class ForeignBody:
 class FrameResult:
     """All that one frame gave, with the arrays that pictures and stage files are made from (None
     when not reached).
+
+    `withheld` are the codes of `reasons` for which an "ok" frame has no targets.
     """
 
     name: str
@@ -193,3 +196,4 @@ class FrameResult:
     foreign: tuple[ForeignBody, ...] = ()
     stages_ms: Mapping[str, float] = field(default_factory=dict)
     stamp_source: StampSource | None = None
+    withheld: tuple[str, ...] = ()

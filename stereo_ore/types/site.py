@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from stereo_ore.types.arrays import F64, Mask, check_shape
 from stereo_ore.types.geometry import Plane, Volume
+
+BarProfile = Literal["flat", "round"]
+"""What a bar's top is like; rails and rounds are measured on their ridge alone."""
 
 
 @dataclass(frozen=True)
@@ -53,10 +56,39 @@ class Polygon:
 
 @dataclass(frozen=True)
 class KeepOut:
-    """A named place where nothing is ore: a body (camera frame) or a part of the image."""
+    """A named place where nothing is ore: a body (camera frame) or a part of the image; who says
+    so.
+    """
 
     name: str
     body: Volume | Capsule | Polygon
+    source: Literal["site", "arm"] = "site"
+
+
+@dataclass(frozen=True, eq=False)
+class Posture:
+    """Where the arm's parts were at a time [ns since 1970], camera frame."""
+
+    stamp_ns: int
+    bodies: tuple[KeepOut, ...]
+
+
+class Postures(Protocol):
+    """What tells of the arm's posture."""
+
+    def around(self, stamp_ns: int) -> tuple[Posture, ...]:
+        """The last posture at or before a time and the first after it, where there are any."""
+
+
+@dataclass(frozen=True)
+class PostureLink:
+    """Where postures come from, a file or an address to listen on, and how far [s] one may be from
+    a frame.
+    """
+
+    max_age_s: float
+    file: Path | None = None
+    listen: tuple[str, int] | None = None
 
 
 @dataclass(frozen=True)
@@ -76,7 +108,9 @@ class Site:
     """Where the camera looks, and the arm; every part may be unknown (None). Plane and volume and
     the bodies of `keep_out` are in the camera frame.
 
-    `reach_min_m` and `reach_max_m` (3,) bound the tool's tip in the arm frame.
+    `opening_m` is the clear distance of the bars, `cross_opening_m` that of bars across them, in a
+    grid; None where there are none or nobody has said so. `reach_min_m` and `reach_max_m` (3,)
+    bound the tool's tip in the arm frame.
     """
 
     T_arm_camera: F64 | None = None
@@ -89,6 +123,9 @@ class Site:
     reach_max_m: F64 | None = None
     keep_out: tuple[KeepOut, ...] = ()
     survey: Survey | None = None
+    posture: PostureLink | None = None
+    cross_opening_m: float | None = None
+    bar_profile: BarProfile = "flat"
 
     def __post_init__(self) -> None:
         if self.T_arm_camera is not None:

@@ -216,6 +216,9 @@ class Registration:
 class Grizzly:
     """The screen: plane of the bar tops, where it came from, its residual, and the bars when they
     are known.
+
+    `opening_m` is the clear distance between the bars, `cross_opening_m` that between the bars that
+    run across them in a grid, `cross_bars`.
     """
 
     plane: Plane
@@ -225,6 +228,16 @@ class Grizzly:
     opening_m: float | None = None
     diagnostics: Mapping[str, Any] = field(default_factory=dict)
     registration: Registration | None = None
+    cross_opening_m: float | None = None
+    cross_bars: Bars | None = None
+
+    @property
+    def openings_m(self) -> tuple[float, ...] | None:
+        """Clear sides of the holes [m]: one of slots, two of a grid; None where unknown."""
+        if self.opening_m is None:
+            return None
+        cross = self.cross_opening_m
+        return (self.opening_m,) if cross is None else (self.opening_m, cross)
 
 
 @dataclass(frozen=True)

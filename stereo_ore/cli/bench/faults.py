@@ -10,6 +10,8 @@ from typing import Annotated
 
 import typer
 
+from stereo_ore.cli.options import Settings
+
 _log = logging.getLogger(__name__)
 
 
@@ -34,9 +36,7 @@ def faults(
     only: Annotated[
         str, typer.Option(help="Faults whose name this regular expression is found in.")
     ] = "",
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", help="One parameter: key.sub=value.")
-    ] = None,
+    settings: Settings = None,
 ) -> None:
     """Plant wrong calibrations, sites, eyes and images in scenes whose truth is known.
 

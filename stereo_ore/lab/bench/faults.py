@@ -65,7 +65,7 @@ def judge(case: Case, config: Config) -> Json | None:
         chain = Chain(case.calibration, case.site, config)
     except StereoOreError:
         return None
-    watch = Watch(config.health)
+    watch = Watch(config, case.site)
     record: Json | None = None
     for index, pair in enumerate(case.frames):
         lines = frame_lines(chain(replace(pair, index=index)), case.site, [])

@@ -13,7 +13,7 @@ from stereo_ore.lab.synth.lighting import Light
 from stereo_ore.lab.synth.screen import Screen
 from stereo_ore.lab.synth.spec import Camera, SceneSpec, Sensor
 
-FAMILIES = ("large", "paper", "hard", "raw", "empty")
+FAMILIES = ("large", "paper", "hard", "raw", "empty", "grid", "round")
 SMALL_SHARE = 0.35
 """Share of raw and empty scenes that are of the table's size."""
 
@@ -22,8 +22,8 @@ SHADE, OVERCAST, INDOORS = (0.234, 0.27, 0.336), (0.95, 1.0, 1.06), (0.4, 0.4, 0
 
 
 def sample_spec(seed: int, family: str = "large", size: str = "HD720") -> SceneSpec:
-    """A random scene: large, paper, hard (low light, wet, dust in turn), raw (distorted eyes) or
-    empty (no lump).
+    """A random scene: large, paper, hard (low light, wet, dust in turn), raw (distorted eyes),
+    empty (no lump), grid (bars both ways) or round (round bars), both large.
     """
     if family not in FAMILIES:
         raise ConfigError(
@@ -34,6 +34,11 @@ def sample_spec(seed: int, family: str = "large", size: str = "HD720") -> SceneS
     spec = (_paper if small else _large)(rng, seed, family, size)
     if family == "hard":
         return _harden(spec, rng)
+    if family == "grid":
+        cross = spec.screen.opening * (1.0 if seed % 2 else float(rng.uniform(1.1, 1.6)))
+        return replace(spec, screen=replace(spec.screen, cross_opening=round(cross, 2), ties=0))
+    if family == "round":
+        return replace(spec, screen=replace(spec.screen, round=True))
     return replace(spec, raw=family == "raw", lumps=0 if family == "empty" else spec.lumps)
 
 

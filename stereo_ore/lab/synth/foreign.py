@@ -8,16 +8,15 @@ from typing import Literal
 
 import numpy as np
 
-from stereo_ore.lab.synth.mesh import Mesh, merge
+from stereo_ore.lab.synth.mesh import Mesh, merge, prism
 from stereo_ore.lab.synth.screen import Screen
-from stereo_ore.types import F64, I32
+from stereo_ore.types import F64
 
 TOOL = 255
 """Instance of all of them."""
 Kind = Literal["hammer", "chain", "post"]
 LARGE_M = 3.0
 """Width of the screen for which the lengths below are made; those of others go with it."""
-SIDES = 12
 
 
 def foreign_body(kind: Kind, screen: Screen, eye: F64, rng: np.random.Generator) -> Mesh:
@@ -74,24 +73,3 @@ def _chain(low: F64, scale: float) -> Mesh:
         up = np.array([0, 0, 1.15 * step])
         links += [prism(a + sign * side, a + sign * side + up, 0.014 * scale) for sign in (-1, 1)]
     return merge(links)
-
-
-def prism(start: F64, end: F64, radius: float, sides: int = SIDES) -> Mesh:
-    """A closed prism of `sides` faces about the line from `start` to `end` [m]."""
-    axis = (end - start) / np.linalg.norm(end - start)
-    x = np.cross(axis, np.eye(3)[int(np.abs(axis).argmin())])
-    x /= np.linalg.norm(x)
-    angle = (np.arange(sides) + 0.5) * 2 * np.pi / sides
-    ring = radius * (np.cos(angle)[:, None] * x + np.sin(angle)[:, None] * np.cross(axis, x))
-    vertices = np.concatenate([start + ring, end + ring, [start], [end]])
-    k = np.arange(sides)
-    following = (k + 1) % sides
-    low, high = np.full(sides, 2 * sides), np.full(sides, 2 * sides + 1)
-    faces = (
-        (k, following, following + sides),
-        (k, following + sides, k + sides),
-        (low, following, k),
-        (high, k + sides, following + sides),
-    )
-    triangles: I32 = np.concatenate([np.stack(face, 1) for face in faces]).astype(np.int32)
-    return Mesh(vertices, triangles)

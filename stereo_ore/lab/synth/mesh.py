@@ -188,3 +188,24 @@ def blocked(caster: RayCaster, rays: npt.ArrayLike, reach: float = np.inf) -> Ma
 
     query = o3d.core.Tensor.from_numpy(np.ascontiguousarray(rays, np.float32))
     return np.asarray(caster.test_occlusions(query, 0.0, reach).numpy())
+
+
+def prism(start: F64, end: F64, radius: float, sides: int = 12) -> Mesh:
+    """A closed prism of `sides` faces about the line from `start` to `end` [m]."""
+    axis = (end - start) / np.linalg.norm(end - start)
+    x = np.cross(axis, np.eye(3)[int(np.abs(axis).argmin())])
+    x /= np.linalg.norm(x)
+    angle = (np.arange(sides) + 0.5) * 2 * np.pi / sides
+    ring = radius * (np.cos(angle)[:, None] * x + np.sin(angle)[:, None] * np.cross(axis, x))
+    vertices = np.concatenate([start + ring, end + ring, [start], [end]])
+    k = np.arange(sides)
+    following = (k + 1) % sides
+    low, high = np.full(sides, 2 * sides), np.full(sides, 2 * sides + 1)
+    faces = (
+        (k, following, following + sides),
+        (k, following + sides, k + sides),
+        (low, following, k),
+        (high, k + sides, following + sides),
+    )
+    triangles: I32 = np.concatenate([np.stack(face, 1) for face in faces]).astype(np.int32)
+    return Mesh(vertices, triangles)

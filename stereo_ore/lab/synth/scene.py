@@ -119,4 +119,13 @@ def site_of(spec: SceneSpec, rectified: Rectification) -> Site:
     normal = T_arm_camera[:3, :3].T @ T_ws[:3, 2]
     origin = (T_ws[:3, 3] - T_arm_camera[:3, 3]) @ T_arm_camera[:3, :3]
     plane = Plane(normal, float(normal @ origin))
-    return Site(T_arm_camera, volume, plane, spec.screen.opening, spec.screen.bar_width)
+    screen = spec.screen
+    return Site(
+        T_arm_camera,
+        volume,
+        plane,
+        screen.opening,
+        screen.bar_width,
+        cross_opening_m=screen.cross_opening,
+        bar_profile="round" if screen.round else "flat",
+    )

@@ -6,9 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stereo_ore.lab.synth.mesh import Mesh, box, merge, rectangle
+from stereo_ore.lab.synth.mesh import Mesh, box, merge, prism, rectangle
 from stereo_ore.lab.synth.rocks import random_rotation, rock
 from stereo_ore.types import F64
+
+_ROUND_SIDES = 24
 
 
 @dataclass(frozen=True)
@@ -16,7 +18,9 @@ class Screen:
     """A grizzly in its own frame: origin in the middle of the bar tops, bars along y, z up; all
     lengths in metres.
 
-    `size` is the clear inside of the frame (x, y), whose top lies `rise` above the bars.
+    `size` is the clear inside of the frame (x, y), whose top lies `rise` above the bars. With a
+    `cross_opening` bars run across these too, as wide and as high, so far apart: a grid, without
+    ties. `round` bars are as deep as wide.
     """
 
     opening: float
@@ -27,12 +31,29 @@ class Screen:
     ties: int
     pit_depth: float
     rise: float = 0.0
+    cross_opening: float | None = None
+    round: bool = False
 
     @property
     def bar_centres(self) -> F64:
         """Positions x of the bars' middles: as many as fit, one pitch apart, symmetric."""
-        pitch = self.opening + self.bar_width
-        count = int((self.size[0] - self.opening) / pitch + 1e-9)
+        return self._centres(self.size[0], self.opening)
+
+    @property
+    def cross_centres(self) -> F64:
+        """Positions y of the middles of the bars across, likewise."""
+        return (
+            self._centres(self.size[1], self.cross_opening) if self.cross_opening else np.empty(0)
+        )
+
+    @property
+    def openings(self) -> tuple[float, ...]:
+        """Clear sides of a hole: one of a slot, two of a grid."""
+        return (self.opening, self.cross_opening) if self.cross_opening else (self.opening,)
+
+    def _centres(self, length: float, opening: float) -> F64:
+        pitch = opening + self.bar_width
+        count = int((length - opening) / pitch + 1e-9)
         return np.asarray((np.arange(count) - (count - 1) / 2) * pitch, np.float64)
 
     @property
@@ -42,22 +63,28 @@ class Screen:
 
 
 def bars(screen: Screen) -> Mesh:
-    """Bars, and the ties between them with their tops a quarter of the bar depth lower."""
-    half, depth = screen.size[1] / 2, screen.bar_depth
-    parts = [
-        box(
-            (x - screen.bar_width / 2, -half, -depth),
-            (x + screen.bar_width / 2, half, 0),
-            screen.cell,
-        )
-        for x in screen.bar_centres
-    ]
-    reach, thick = screen.size[0] / 2, 0.2 * screen.bar_width
-    for y in (np.arange(screen.ties) + 1) / (screen.ties + 1) * screen.size[1] - half:
-        parts.append(
-            box((-reach, y - thick, -0.45 * depth), (reach, y + thick, -0.12 * depth), screen.cell)
-        )
+    """Bars, those across them in a grid, else ties between them with their tops a little lower."""
+    x, y = np.array(screen.size) / 2
+    parts = [_bar(screen, np.array([at, -y]), np.array([at, y])) for at in screen.bar_centres]
+    if screen.cross_opening:
+        ends = [(np.array([-x, at]), np.array([x, at])) for at in screen.cross_centres]
+        return merge([*parts, *(_bar(screen, *each) for each in ends)])
+    depth, thick = screen.bar_depth, 0.2 * screen.bar_width
+    for at in (np.arange(screen.ties) + 1) / (screen.ties + 1) * 2 * y - y:
+        low, high = (-x, at - thick, -0.45 * depth), (x, at + thick, -0.12 * depth)
+        parts.append(box(low, high, screen.cell))
     return merge(parts)
+
+
+def _bar(screen: Screen, start: F64, end: F64) -> Mesh:
+    """A bar along x or y between two places, its top at height 0."""
+    half = screen.bar_width / 2
+    if screen.round:
+        low, high = (np.array([*at, -half]) for at in (start, end))
+        return prism(low, high, half, _ROUND_SIDES)
+    wide = half * (end - start == 0)
+    low, high = start - wide, end + wide
+    return box((low[0], low[1], -screen.bar_depth), (high[0], high[1], 0), screen.cell)
 
 
 def frame(screen: Screen) -> Mesh:

@@ -19,6 +19,7 @@ from stereo_ore.lab.synth.mesh import (
 )
 from stereo_ore.lab.synth.model import FIRST_LUMP, Lump, Model
 from stereo_ore.lab.synth.spec import SceneSpec
+from stereo_ore.stages.solid import over_hole
 from stereo_ore.transforms import inverse, transform_points
 from stereo_ore.types import F32, F64, I32, Mask
 
@@ -92,7 +93,7 @@ def lump_truths(
                 dims,
                 longest,
                 shortest,
-                bool(dims[1] > spec.screen.opening),
+                over_hole(dims, spec.screen.openings) > 1,
                 tuple(FIRST_LUMP + j for j in touches[k]),
             )
         )

@@ -21,13 +21,26 @@ _SCHEMA = "stereo_ore/targets/1"
 _Vector = tuple[float, float, float]
 
 
+MOST_ALTERNATES = 3
+"""Other strikes of a lump that a message has at most."""
+
+
+@dataclass(frozen=True)
+class Alternate:
+    """Another place to strike a lump."""
+
+    position_m: _Vector
+    direction: _Vector
+    score: float
+
+
 @dataclass(frozen=True)
 class Target:
     """One lump to strike, best first: arm frame, metres.
 
     `direction` is the unit vector the tool moves along; `size_m` longest, middle and shortest
-    dimension; `sigma_m` the standard deviations of the centre of gravity along the axes of the
-    camera.
+    dimension; `sigma_m` the standard deviations of the centre of gravity `centre_m` along the axes
+    of the camera; `alternates` other strikes of the same lump, best first.
     """
 
     id: int
@@ -38,6 +51,9 @@ class Target:
     score: float
     volume_m3: float | None = None
     sigma_m: _Vector | None = None
+    centre_m: _Vector | None = None
+    volume_bounds_m3: tuple[float, float] | None = None
+    alternates: tuple[Alternate, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -204,18 +220,36 @@ def _targets(record: JsonMapping) -> tuple[tuple[Target, ...], tuple[str, ...]]:
 
 def _target(ore: JsonMapping) -> Target | None:
     """None for an ore whose strike is not fully known: half a target is none."""
-    strike = ore["strike"]
-    if strike is None:
+    if ore["strike"] is None or (best := _place(ore["strike"])) is None:
         return None
-    point, direction = strike["point"]["arm"], strike["direction"]["arm"]
-    numbers = (*(point or (None,)), *(direction or (None,)), strike["score"])
-    if any(value is None for value in numbers):
+    others = (_place(other) for other in ore["strike"]["alternates"][:MOST_ALTERNATES])
+    centre = ore["centre_of_gravity"] or {}
+    return Target(
+        ore["id"],
+        best.position_m,
+        best.direction,
+        _whole(ore["size_m"]),
+        ore["oversize"],
+        best.score,
+        ore["volume_m3"],
+        _whole(centre.get("sigma_m")),
+        _whole(centre.get("arm")),
+        _whole(ore.get("volume_bounds_m3")),
+        tuple(other for other in others if other),
+    )
+
+
+def _place(strike: JsonMapping) -> Alternate | None:
+    """Where and how a strike hits in the arm's frame; None where a part of that is unknown."""
+    point, direction = _whole(strike["point"]["arm"]), _whole(strike["direction"]["arm"])
+    if point is None or direction is None or strike["score"] is None:
         return None
-    size = ore["size_m"] and tuple(ore["size_m"])
-    centre = ore["centre_of_gravity"]
-    sigma = centre and centre["sigma_m"] and tuple(centre["sigma_m"])
-    plan = tuple(point), tuple(direction), size, ore["oversize"], strike["score"]
-    return Target(ore["id"], *plan, ore["volume_m3"], sigma)
+    return Alternate(point, direction, strike["score"])
+
+
+def _whole(values: list[float] | None) -> Any:
+    """A tuple; None for what is not known or not in full."""
+    return None if values is None or None in values else tuple(values)
 
 
 def transform_id(T_arm_camera: F64 | None) -> str | None:

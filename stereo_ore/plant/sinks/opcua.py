@@ -15,14 +15,16 @@ from stereo_ore.errors import MissingExtraError, OutputError
 from stereo_ore.plant.sinks.base import Outbox, SinkState
 from stereo_ore.plant.sinks.message import Message, Origin, notice
 from stereo_ore.plant.sinks.opcua_access import Users, guard
-from stereo_ore.plant.sinks.opcua_model import CONTROL, NAMESPACE, PAYLOAD, Variable
+from stereo_ore.plant.sinks.opcua_model import CONTROL, NAMESPACE, NO_TIME, PAYLOAD, Variable
 from stereo_ore.plant.sinks.opcua_nodeset import nodeset
 from stereo_ore.plant.sinks.supervisor import Supervisor
+from stereo_ore.version import __version__
 
 if TYPE_CHECKING:
     from asyncua import Node, Server, ua
 
 APPLICATION_URI = "urn:stereo-ore:server"
+_PRODUCT_URI = "urn:stereo-ore"
 PATH = "/stereo-ore"
 HEARTBEAT_S = 0.5
 
@@ -212,6 +214,9 @@ async def _make_server(url: str, security: OpcUaSecurity | None) -> Server:
     await server.init()
     server.set_endpoint(url)
     server.set_server_name("stereo-ore")
+    await server.set_build_info(
+        _PRODUCT_URI, "stereo-ore", "stereo-ore", __version__, __version__, NO_TIME
+    )
     await server.set_application_uri(APPLICATION_URI)
     with_users = security is not None and security.users is not None
     server.set_identity_tokens(

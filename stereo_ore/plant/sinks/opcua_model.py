@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
-from stereo_ore.plant.sinks.message import Message, Target
+from stereo_ore.plant.sinks.message import MOST_ALTERNATES, Message, Target
 
 NAMESPACE = "urn:stereo-ore:targets"
 OPCUA_SLOTS = 16
@@ -101,6 +101,30 @@ def _vectors(
     )
 
 
+def _alternates(name: str, text: str, part: str, unit: str = "") -> Variable:
+    """A flat array of `MOST_ALTERNATES` vectors a slot."""
+
+    def value(message: Message) -> list[float]:
+        found = [_NAN] * (3 * MOST_ALTERNATES * OPCUA_SLOTS)
+        for slot, target in enumerate(message.targets[:OPCUA_SLOTS]):
+            numbers = [x for other in target.alternates for x in getattr(other, part)]
+            start = 3 * MOST_ALTERNATES * slot
+            found[start : start + len(numbers)] = numbers
+        return found
+
+    length = 3 * MOST_ALTERNATES * OPCUA_SLOTS
+    return Variable("Targets", name, "Double", text, value, unit, length, "arm", certain=False)
+
+
+def _bounds(message: Message) -> list[float]:
+    used = [x for t in message.targets[:OPCUA_SLOTS] for x in t.volume_bounds_m3 or (_NAN,) * 2]
+    return used + [_NAN] * (2 * OPCUA_SLOTS - len(used))
+
+
+_RESULT_STATES = {"ok": 1, "empty": 1, "expired": 3, "degraded": 4, "failed": 4}
+"""ResultStateDataType of OPC 40100-1, 12.19."""
+
+
 def _result(
     name: str, type: str, text: str, value: Callable[[Message], Any], **more: Any
 ) -> Variable:
@@ -137,6 +161,12 @@ PAYLOAD = (
     _vectors("Sigma", "standard deviations of the centre of gravity; NaN unknown",
         lambda t: t.sigma_m, "m",
         "left_rectified"),
+    _vectors("Centre", "centres of gravity; NaN unknown", lambda t: t.centre_m, "m", "arm"),
+    Variable("Targets", "VolumeBounds", "Double", "lower and upper bound a slot; NaN unknown",
+        _bounds, "m³", 2 * OPCUA_SLOTS, certain=False),
+    _alternates("AlternatePosition", "three other strike points a slot; NaN: none", "position_m",
+        "m"),
+    _alternates("AlternateDirection", "their directions", "direction"),
     _slot("Oversize", "Int16", "1 yes, 0 no, -1 unknown", lambda t: _OVERSIZE[t.oversize], -1),
     _slot("Score", "Double", "quality of the strike", lambda t: t.score, _NAN),
     _result("Frame", "String", "name of the frame", lambda m: m.frame or ""),
@@ -152,6 +182,9 @@ PAYLOAD = (
     _result("Published", "DateTime", "when it was published", lambda m: _time(m.published_ns)),
     _result("ValidUntil", "DateTime", "strike no later", lambda m: _time(m.valid_until_ns)),
     _result("Status", "String", "ok, degraded, empty, failed, expired …", lambda m: m.status),
+    _result("ResultState", "Int32",
+        "OPC 40100-1: 1 completed, 3 aborted (expired), 4 failed (degraded too), 0 undefined",
+        lambda m: _RESULT_STATES.get(m.status, 0)),
     _result("Reasons", "String", "codes", lambda m: list(m.reasons), length=0),
     _result("Session", "String", "changes when Sequence begins anew", lambda m: m.origin.session),
     _result("TransformId", "String", "the arm_from_camera in use",

@@ -27,7 +27,9 @@ ALIASES = {
     "DateTime": "i=13",
     "EUInformation": "i=887",
     "Organizes": "i=35",
+    "HasModellingRule": "i=37",
     "HasTypeDefinition": "i=40",
+    "HasSubtype": "i=45",
     "HasProperty": "i=46",
     "HasComponent": "i=47",
 }
@@ -40,7 +42,9 @@ OBJECTS, _FOLDER, OBJECT, VARIABLE, PROPERTY, ANALOG = (
     "i=17497",
 )
 EU_ENCODING = "i=888"
-ROOT = "StereoOre"
+_MANDATORY = "i=78"
+ROOT, TYPE = "StereoOre", "StereoOreType"
+"""The object, and the type that it is of: what controllers' tools make blocks from."""
 READ, READ_WRITE = "1", "3"
 
 
@@ -50,8 +54,8 @@ def nodeset() -> str:
     """
     root = Element("UANodeSet", {"xmlns": NODESET})
     SubElement(SubElement(root, "NamespaceUris"), "Uri").text = NAMESPACE
-    model = SubElement(SubElement(root, "Models"), "Model", ModelUri=NAMESPACE, Version="2.0.0")
-    model.set("PublicationDate", "2026-11-29T00:00:00Z")
+    model = SubElement(SubElement(root, "Models"), "Model", ModelUri=NAMESPACE, Version="2.1.0")
+    model.set("PublicationDate", "2026-11-30T00:00:00Z")
     base = {
         "ModelUri": "http://opcfoundation.org/UA/",
         "Version": "1.04",
@@ -61,20 +65,28 @@ def nodeset() -> str:
     aliases = SubElement(root, "Aliases")
     for name, identifier in ALIASES.items():
         SubElement(aliases, "Alias", Alias=name).text = identifier
-    _node(root, "UAObject", ROOT, ROOT, OBJECT, (OBJECTS, "Organizes"))
-    for folder in dict.fromkeys(variable.folder for variable in (*PAYLOAD, *CONTROL)):
-        _node(
-            root,
-            "UAObject",
-            f"{ROOT}.{folder}",
-            folder,
-            _FOLDER,
-            (f"ns=1;s={ROOT}", "HasComponent"),
-        )
-    for variable in (*PAYLOAD, *CONTROL):
-        _variable(root, variable)
+    _node(root, "UAObjectType", TYPE, TYPE, None, (OBJECT, "HasSubtype"), "Targets for an arm")
+    _components(root, TYPE)
+    _node(root, "UAObject", ROOT, ROOT, f"ns=1;s={TYPE}", (OBJECTS, "Organizes"))
+    _components(root, ROOT)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def _components(root: Element, owner: str) -> None:
+    """Folders and variables of the type or of the object; those of the type are mandatory."""
+    known = len(root)
+    for folder in dict.fromkeys(variable.folder for variable in (*PAYLOAD, *CONTROL)):
+        parent = f"ns=1;s={owner}", "HasComponent"
+        _node(root, "UAObject", f"{owner}.{folder}", folder, _FOLDER, parent)
+    for variable in (*PAYLOAD, *CONTROL):
+        _variable(root, owner, variable)
+    if owner == TYPE:
+        for node in root[known:]:
+            references = node.find("References")
+            assert references is not None, "every node has a parent"
+            rule = SubElement(references, "Reference", ReferenceType="HasModellingRule")
+            rule.text = _MANDATORY
 
 
 def _node(
@@ -82,29 +94,32 @@ def _node(
     kind: str,
     id: str,
     name: str,
-    type: str,
+    type: str | None,
     parent: tuple[str, str],
     text: str = "",
     space: int = 1,
 ) -> Element:
-    """A node with its parent, given as node id and type of reference."""
+    """A node with its type, which a type has not, and its parent, given as node id and type of
+    reference.
+    """
     browse_name = f"{space}:{name}" if space else name
     node = SubElement(root, kind, NodeId=f"ns=1;s={id}", BrowseName=browse_name)
     owner, reference = parent
-    if reference != "Organizes":
+    if reference not in ("Organizes", "HasSubtype"):
         node.set("ParentNodeId", owner)
     SubElement(node, "DisplayName").text = name
     if text:
         SubElement(node, "Description").text = text
     references = SubElement(node, "References")
-    SubElement(references, "Reference", ReferenceType="HasTypeDefinition").text = type
+    if type is not None:
+        SubElement(references, "Reference", ReferenceType="HasTypeDefinition").text = type
     SubElement(references, "Reference", ReferenceType=reference, IsForward="false").text = owner
     return node
 
 
-def _variable(root: Element, variable: Variable) -> None:
-    id = f"{ROOT}.{variable.folder}.{variable.name}"
-    parent = f"ns=1;s={ROOT}.{variable.folder}", "HasComponent"
+def _variable(root: Element, owner: str, variable: Variable) -> None:
+    id = f"{owner}.{variable.folder}.{variable.name}"
+    parent = f"ns=1;s={owner}.{variable.folder}", "HasComponent"
     node = _node(
         root,
         "UAVariable",

@@ -64,6 +64,13 @@ class ModbusSettings(_Section):
     clients: tuple[IPvAnyNetwork, ...] = ()
 
 
+class FoxgloveSettings(_Section):
+    """A WebSocket for Foxglove, which never leaves this machine."""
+
+    host: str = LOOPBACK
+    port: Annotated[int, Field(ge=0, le=65535)] = 8765
+
+
 class Ros2Settings(_Section):
     """Topics of ROS 2, which knows neither users nor encryption: they stay on this machine unless
     ROS's own variables say otherwise.
@@ -86,6 +93,7 @@ class SinksSettings(_Section):
     tcp: TcpSettings | None = None
     modbus: ModbusSettings | None = None
     ros2: Ros2Settings | None = None
+    foxglove: FoxgloveSettings | None = None
 
 
 def load_sinks(path: Path | None, **ports: int | None) -> SinksSettings:
@@ -143,6 +151,7 @@ def _check_addresses(settings: SinksSettings, origin: Path) -> None:
         "mqtt": ("authority", "users"),
         "modbus": ("clients",),
         "tcp": None,
+        "foxglove": None,
     }
     for name, fields in needs.items():
         part = getattr(settings, name)
@@ -150,7 +159,7 @@ def _check_addresses(settings: SinksSettings, origin: Path) -> None:
             continue
         problem = f"{part.host} is beyond this machine"
         if fields is None:
-            remedy = "JSON lines are not guarded: use 127.0.0.1 and a tunnel, or OPC UA"
+            remedy = "It is not guarded: use 127.0.0.1 and a tunnel, or OPC UA"
             raise ConfigError(problem, file=origin, key=f"{name}.host", remedy=remedy)
         if missing := [field for field in fields if not getattr(part, field)]:
             remedy = f"Give {', '.join(f'{name}.{field}' for field in missing)}, or use 127.0.0.1"

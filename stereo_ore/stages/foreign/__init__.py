@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from stereo_ore.config import ForeignConfig
 from stereo_ore.stages.foreign.places import distances, inside
+from stereo_ore.stages.foreign.posture import arm_places
 from stereo_ore.stages.foreign.stance import standing
 from stereo_ore.types import (
     F32,
@@ -30,6 +31,7 @@ from stereo_ore.types import (
 
 __all__ = [
     "Foreign",
+    "arm_places",
     "clear_of",
     "cleared",
     "find_foreign",
@@ -67,7 +69,7 @@ def places(surface: Surface, keep_out: Sequence[KeepOut]) -> Foreign:
     """What of the surface lies in the site's places, which are taken as they are."""
     masks = [inside(surface, place) for place in keep_out]
     bodies = tuple(
-        _body(place.name, "site", mask, surface)
+        _body(place.name, place.source, mask, surface)
         for place, mask in zip(keep_out, masks, strict=True)
         if mask.any()
     )
@@ -186,7 +188,9 @@ def _points(surface: Surface, mask: Mask) -> F64:
     return np.asarray(seen[:: 1 + len(seen) // _POINTS], np.float64)
 
 
-def _body(name: str, source: Literal["site", "image"], mask: Mask, surface: Surface) -> ForeignBody:
+def _body(
+    name: str, source: Literal["site", "arm", "image"], mask: Mask, surface: Surface
+) -> ForeignBody:
     contours = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
     largest = max(contours, key=cv2.contourArea)
     outline = cv2.approxPolyDP(largest, OUTLINE_PX, True)[:, 0] + [surface.x0, surface.y0]

@@ -50,19 +50,35 @@ def find(surface: Surface, site: Site, config: GrizzlyConfig) -> Grizzly:
     found = (
         _found(sample, site, config) if site.plane is None else _measured(sample, site, site.plane)
     )
-    return found if site.bar_width_m is not None else _with_sharp_bars(found, surface, site, config)
+    return _sharp(found, surface, site, config)
 
 
-def _with_sharp_bars(
-    found: Grizzly, surface: Surface, site: Site, config: GrizzlyConfig
-) -> Grizzly:
-    """The screen with the width that its bars have in the image, where nobody has measured it."""
-    bars = sharpened(surface, found, tolerances(surface.sigma_z, config))
-    diagnostics = {**found.diagnostics, "bar_width_from": "image" if bars else "depth"}
-    if bars is None:
-        return replace(found, diagnostics=diagnostics)
-    opening = site.opening_m or bars.pitch_m - bars.width_m
-    return replace(found, bars=bars, opening_m=opening, diagnostics=diagnostics)
+def _sharp(found: Grizzly, surface: Surface, site: Site, config: GrizzlyConfig) -> Grizzly:
+    """The screen with the width that its bars have in the image, where nobody has measured it, and
+    without bars across that neither somebody has described nor the image shows.
+    """
+    tolerance = tolerances(surface.sigma_z, config)
+    bars, cross, diagnostics = found.bars, found.cross_bars, dict(found.diagnostics)
+    if site.bar_width_m is None:
+        bars = sharpened(surface, found, tolerance)
+        diagnostics["bar_width_from"] = "image" if bars else "depth"
+    if site.cross_opening_m is None or site.bar_width_m is None:
+        across = sharpened(surface, replace(found, bars=cross), tolerance)
+        cross = across or (cross if site.cross_opening_m is not None else None)
+    screen = replace(found, bars=bars or found.bars, cross_bars=cross, diagnostics=diagnostics)
+    return _with_openings(screen, site)
+
+
+def _with_openings(screen: Grizzly, site: Site) -> Grizzly:
+    """The screen with the clear distances that the site gives, or else its bars have."""
+    openings = [
+        known if known is not None or bars is None else bars.pitch_m - bars.width_m
+        for known, bars in (
+            (site.opening_m, screen.bars),
+            (site.cross_opening_m, screen.cross_bars),
+        )
+    ]
+    return replace(screen, opening_m=openings[0], cross_opening_m=openings[1])
 
 
 def _measured(sample: Sample, site: Site, plane: Plane) -> Grizzly:
@@ -72,7 +88,7 @@ def _measured(sample: Sample, site: Site, plane: Plane) -> Grizzly:
     # Shiny bars are measured a little off; they are found in the plane that the cloud has near the
     # site's.
     near = refine_plane(sample, plane, BarFit(None, 0.0))
-    fit = fit_bars(sample, near, site.opening_m, site.bar_width_m, sharp=True)
+    fit = fit_bars(sample, near, site, sharp=True)
     rms, inliers = residual(sample, plane, fit)
     other = refine_plane(sample, near, fit)
     tilt = float(np.arccos(np.clip(other.normal @ plane.normal, -1, 1)))
@@ -92,10 +108,8 @@ def _found(sample: Sample, site: Site, config: GrizzlyConfig) -> Grizzly:
     """The candidate plane that is widest and most clearly cut into bars."""
     best: tuple[float, Plane, BarFit] | None = None
     for candidate, area in candidate_planes(sample, config):
-        plane = refine_plane(
-            sample, candidate, fit_bars(sample, candidate, site.opening_m, site.bar_width_m)
-        )
-        fit = fit_bars(sample, plane, site.opening_m, site.bar_width_m, sharp=True)
+        plane = refine_plane(sample, candidate, fit_bars(sample, candidate, site))
+        fit = fit_bars(sample, plane, site, sharp=True)
         score = area * fit.contrast
         if _is_screen(sample, plane, fit, site, config) and (best is None or score > best[0]):
             best = score, plane, fit
@@ -110,7 +124,7 @@ def _found(sample: Sample, site: Site, config: GrizzlyConfig) -> Grizzly:
         )
     for _ in range(config.refinements):
         plane = refine_plane(sample, best[1], best[2])
-        best = best[0], plane, fit_bars(sample, plane, site.opening_m, site.bar_width_m, sharp=True)
+        best = best[0], plane, fit_bars(sample, plane, site, sharp=True)
     _, plane, fit = best
     rms, inliers = residual(sample, plane, fit)
     return _grizzly(plane, "auto", rms, site, {"inlier_share": inliers}, fit)
@@ -139,10 +153,8 @@ def _grizzly(
     diagnostics: dict[str, Any],
     fit: BarFit | None = None,
 ) -> Grizzly:
-    bars = fit.bars if fit else None
-    opening = site.opening_m
-    if opening is None and bars is not None:
-        opening = bars.pitch_m - bars.width_m
+    bars, cross = (fit.bars, fit.cross) if fit else (None, None)
     if fit:
         diagnostics |= {"bar_contrast": fit.contrast, "bars_seen": fit.seen}
-    return Grizzly(plane, source, rms, bars, opening, diagnostics)
+    screen = Grizzly(plane, source, rms, bars, None, diagnostics, cross_bars=cross)
+    return _with_openings(screen, site)

@@ -4,12 +4,12 @@ through it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stereo_ore.types import F64, Bars, Mask, Plane
+from stereo_ore.types import F64, Bars, Mask, Plane, Site
 
 if TYPE_CHECKING:
     from stereo_ore.stages.grizzly.sample import Sample
@@ -30,40 +30,78 @@ ROUGH, SHARP = (1.0, 2.0), (0.3, 1.0)
 """Within the first of these of a plane [inlier distances] it is solid, beneath the second it is
 open."""
 MIN_DUTY, MAX_DUTY = 0.08, 0.6
+_BETWEEN = 0.8
+"""Distance from a bar's middle, in widths, from which on it is looked for bars across: nearer,
+depth is smeared."""
+CROSS_CONTRAST, MOST_OBLONG = 0.08, 2.0
+"""Contrast of bars across that nobody has described, which the image must confirm, and the largest
+ratio of both pitches."""
 
 
 @dataclass(frozen=True)
 class BarFit:
-    """The bars, if any, the share of the variance of solid/open that they explain (0…1), and how
-    many are seen.
+    """The bars, if any, the share of the variance of solid/open that they explain (0…1), how many
+    are seen, and in a grid the bars across them.
     """
 
     bars: Bars | None
     contrast: float
     seen: int = 0
+    cross: Bars | None = None
+
+    def narrowed(self, share: float) -> BarFit:
+        """The same with bars of so much of their width."""
+        bars, cross = (
+            each and replace(each, width_m=share * each.width_m) for each in (self.bars, self.cross)
+        )
+        return replace(self, bars=bars, cross=cross)
 
     def covers(self, xyz: F64) -> Mask:
         """True for each of (N, 3) points that lies over a bar."""
-        if self.bars is None:
-            return np.zeros(len(xyz), bool)
-        across = xyz @ self.bars.across - self.bars.phase_m
-        from_centre = np.abs(across - self.bars.pitch_m * np.round(across / self.bars.pitch_m))
-        return np.asarray(from_centre < self.bars.width_m / 2)
+        found = np.zeros(len(xyz), bool)
+        for bars in (self.bars, self.cross):
+            if bars is not None:
+                across = xyz @ bars.across - bars.phase_m
+                found |= np.abs(_wrap(across, bars.pitch_m)) < bars.width_m / 2
+        return found
 
 
-def fit_bars(
-    sample: Sample,
-    plane: Plane,
-    opening_m: float | None,
-    bar_width_m: float | None,
-    sharp: bool = False,
-) -> BarFit:
+@dataclass(frozen=True)
+class _Comb:
+    """Bars of one direction in the plane's axes: angle [rad], pitch, phase and width [m], the
+    contrast they explain, and how many are seen.
+    """
+
+    angle: float
+    pitch: float
+    phase: float
+    width: float
+    contrast: float
+    seen: int
+
+    def position(self, q: F64) -> F64:
+        """Coordinates (N,) [m] across the bars."""
+        return np.asarray(q @ np.array([-np.sin(self.angle), np.cos(self.angle)]))
+
+    def off_centre(self, q: F64) -> F64:
+        """Distances (N,) [m] from the nearest bar's middle."""
+        return np.abs(_wrap(self.position(q) - self.phase, self.pitch))
+
+    def bars(self, axes: F64) -> Bars:
+        """The same in space; `axes` (2, 3) are the plane's."""
+        sin, cos = np.sin(self.angle), np.cos(self.angle)
+        direction, across = np.array([cos, sin]) @ axes, np.array([-sin, cos]) @ axes
+        return Bars(direction, across, float(self.pitch), float(self.phase), float(self.width))
+
+
+def fit_bars(sample: Sample, plane: Plane, site: Site, sharp: bool = False) -> BarFit:
     """Bars of a plane.
 
     Each pixel's ray is cut with the plane: where the point seen lies on the plane the plane is
     solid there (+1), where it lies well beneath the plane is open (−1); a point above says nothing.
     The direction is the one along which this signal varies least; the pitch the one whose folded
-    signal has the best window of solid.
+    signal has the best window of solid. Bars across are looked for in what is left between the
+    bars, unless the site's opening is one of slots.
 
     Parameters
     ----------
@@ -71,8 +109,9 @@ def fit_bars(
         Points with their tolerances.
     plane : Plane
         Plane of the bar tops.
-    opening_m, bar_width_m : float or None
-        Known clear distance and bar width [m]; both together fix the pitch and the width.
+    site : Site
+        Clear distances and bar width, as far as they are known; an opening and the width together
+        fix the pitch and the width.
     sharp : bool
         The plane has been refined: what lies a little beneath it is a bar's side face, or smeared
         off its edge.
@@ -81,18 +120,51 @@ def fit_bars(
     q, signal = _around_open(q, signal)
     if len(q) < PHASES or signal.min() > 0 or signal.max() < 0:
         return BarFit(None, 0.0)
-    angle = _direction(q, signal)
-    across2 = np.array([-np.sin(angle), np.cos(angle)])
-    position = q @ across2
+    angle, width = _direction(q, signal), site.bar_width_m
+    main = _fitted(q, signal, angle, site.opening_m, width)
+    if site.opening_m is not None and site.cross_opening_m is None:
+        return (
+            BarFit(None, 0.0) if main is None else BarFit(main.bars(axes), main.contrast, main.seen)
+        )
+    # In a grid either direction may be the one along which the signal varies least.
+    turned = _fitted(q, signal, angle + np.pi / 2, site.opening_m, width)
+    if turned and (main is None or turned.contrast > main.contrast):
+        main = turned
+    if main is None:
+        return BarFit(None, 0.0)
+    between = main.off_centre(q) > _BETWEEN * main.width
+    cross = None
+    if between.sum() >= PHASES and signal[between].min() < 0 < signal[between].max():
+        known = site.cross_opening_m
+        cross = _fitted(q[between], signal[between], main.angle + np.pi / 2, known, width)
+    if cross is None or not _is_grid(main, cross, site):
+        return BarFit(main.bars(axes), main.contrast, main.seen)
+    solid = (main.off_centre(q) < main.width / 2) | (cross.off_centre(q) < cross.width / 2)
+    contrast = _explained(solid.astype(np.intp), signal)
+    return BarFit(main.bars(axes), contrast, max(main.seen, cross.seen), cross.bars(axes))
+
+
+def _is_grid(main: _Comb, cross: _Comb, site: Site) -> bool:
+    """Whether bars across were seen: ties under the bars are few and far between."""
+    if site.cross_opening_m is not None:
+        return True
+    ratio = cross.pitch / main.pitch
+    return cross.contrast > CROSS_CONTRAST and 1 / MOST_OBLONG < ratio < MOST_OBLONG
+
+
+def _fitted(
+    q: F64, signal: F64, angle: float, opening_m: float | None, bar_width_m: float | None
+) -> _Comb | None:
+    """The bars along a direction of the plane."""
+    position = np.asarray(q @ np.array([-np.sin(angle), np.cos(angle)]))
     comb = _comb(position, signal, opening_m, bar_width_m)
     if comb is None:
-        return BarFit(None, 0.0)
+        return None
     pitch, phase, width = comb
     solid = np.abs(_wrap(position - phase, pitch)) < width / 2
     contrast = _explained(solid.astype(np.intp), signal)
-    direction = np.array([np.cos(angle), np.sin(angle)]) @ axes
-    bars = Bars(direction, across2 @ axes, float(pitch), float(phase), float(width))
-    return BarFit(bars, contrast, _seen(position, signal, pitch, phase, solid))
+    seen = _seen(position, signal, pitch, phase, solid)
+    return _Comb(float(angle), pitch, phase, width, contrast, seen)
 
 
 def _seen(position: F64, signal: F64, pitch: float, phase: float, on_bar: Mask) -> int:

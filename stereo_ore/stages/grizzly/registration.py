@@ -28,6 +28,8 @@ TUKEY_PX = (1.5, 1.0, 0.7, 0.5, 0.5)
 """Residuals [px] beyond which a pixel has no weight, of successive fits (Beaton & Tukey 1974)."""
 _INNER = 0.7
 """Share of a bar's width that is looked at: its edges are smeared."""
+_RIDGE = 0.35
+"""And of a round one's: beside its ridge it falls off by a thirtieth of its width at most."""
 _FEWEST, LEAST_WEIGHT = 300, 0.2
 """Pixels on bars, with at least this weight in the last fit, that are needed."""
 LEAST_CONTRAST = 0.15
@@ -65,7 +67,7 @@ def register(
     fit = _bars(pixels, rig, plane_of(rig, plane, field), site, config)
     if fit.bars is None or fit.contrast < LEAST_CONTRAST:
         return None
-    inner = replace(fit, bars=replace(fit.bars, width_m=_INNER * fit.bars.width_m))
+    inner = fit.narrowed(_INNER if site.bar_profile == "flat" else _RIDGE)
     on_bars = near.where(inner.covers(near.on(plane_of(rig, plane, field))))
     if len(on_bars.excess) < _FEWEST:
         return None
@@ -164,7 +166,7 @@ def plane_of(rig: Rig, plane: Plane, field: F64) -> Plane:
 def _bars(pixels: _Pixels, rig: Rig, plane: Plane, site: Site, config: GrizzlyConfig) -> BarFit:
     sigma = np.asarray(rig.depth_sigma(pixels.depth, 0.15))
     sample = Sample(pixels.xyz, tolerances(sigma, config), pixels.area * pixels.depth**2)
-    return fit_bars(sample, plane, site.opening_m, site.bar_width_m, sharp=True)
+    return fit_bars(sample, plane, site, sharp=True)
 
 
 def _described(seen: _Pixels, rig: Rig, plane: Plane, field: F64) -> Registration:

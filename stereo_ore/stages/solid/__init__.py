@@ -4,6 +4,8 @@ saw.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.ndimage import find_objects
 
@@ -14,7 +16,7 @@ from stereo_ore.stages.solid.prior import Estimate, load_prior
 from stereo_ore.stages.solid.sight import Sight, look_at_lumps
 from stereo_ore.types import F64, Grizzly, OreMap, Reason, Solid, Surface
 
-__all__ = ["METHOD", "Cues", "Sight", "looks", "solids"]
+__all__ = ["METHOD", "Cues", "Sight", "is_oversize", "looks", "over_hole", "solids"]
 
 METHOD = "grounded hull corrected by a shape prior"
 FARTHEST, _LARGEST = 1.5, 2.5
@@ -22,6 +24,9 @@ FARTHEST, _LARGEST = 1.5, 2.5
 ratio."""
 CUT_FACTOR = 2.0
 """How much less sure all is of a lump that the image's border cuts."""
+
+Openings = tuple[float, ...] | None
+"""Clear sides [m] of the holes of a screen: one of a slot, two of a rectangle; None: unknown."""
 
 
 def solids(
@@ -49,7 +54,7 @@ def solids(
         Entry i is the solid of id i + 1, None when too little was seen of it to make one.
     """
     return tuple(
-        _solid(*looked, grizzly.opening_m, number in ore_map.cut, config) if looked else None
+        _solid(*looked, grizzly.openings_m, number in ore_map.cut, config) if looked else None
         for number, looked in enumerate(looks(surface, ore_map, grizzly, config), 1)
     )
 
@@ -73,9 +78,7 @@ def looks(
     return tuple(found)
 
 
-def _solid(
-    sight: Sight, cues: Cues, opening_m: float | None, cut: bool, config: SolidConfig
-) -> Solid:
+def _solid(sight: Sight, cues: Cues, openings_m: Openings, cut: bool, config: SolidConfig) -> Solid:
     estimate, s = load_prior().estimate(cues.even, cues.odd, cues.doubts), sight.size
     base = cues.body
     shift = (
@@ -102,7 +105,7 @@ def _solid(
         size_m=size,
         method=METHOD,
         vertices=sight.to_camera(vertices).astype(np.float32),
-        oversize=_oversize(float(size[1]), opening_m, cut, config),
+        oversize=is_oversize(size, openings_m, cut, config.oversize_margin),
         reasons=(Reason("CUT_BY_IMAGE", "the image's border cuts the lump; it may be larger"),)
         if cut
         else (),
@@ -119,13 +122,41 @@ def _sigma(sight: Sight, estimate: Estimate, factor: float, config: SolidConfig)
     return np.asarray(np.sqrt(variance))
 
 
-def _oversize(
-    middle_m: float, opening_m: float | None, cut: bool, config: SolidConfig
+def is_oversize(
+    size_m: Sequence[float] | F64, openings_m: Openings, cut: bool, margin: float
 ) -> bool | None:
-    """Whether the middle dimension exceeds the opening; None when unknown or within the margin."""
-    if opening_m is None:
+    """Whether a lump is too large for the openings; None when unknown or within the margin.
+
+    Parameters
+    ----------
+    size_m : (3,) sequence
+        Longest, middle and shortest dimension [m].
+    openings_m : tuple or None
+        Clear sides of the holes [m].
+    cut : bool
+        The image's border cuts the lump, which may be larger.
+    margin : float
+        Share of the opening within which nothing is said.
+    """
+    if openings_m is None:
         return None
-    excess = middle_m / opening_m - 1.0
-    if cut and excess <= config.oversize_margin:
+    excess = over_hole(size_m, openings_m) - 1.0
+    if cut and excess <= margin:
         return None
-    return None if abs(excess) <= config.oversize_margin else bool(excess > 0)
+    return None if abs(excess) <= margin else bool(excess > 0)
+
+
+def over_hole(size_m: Sequence[float] | F64, openings_m: tuple[float, ...]) -> float:
+    """How many times larger a hole would have to be for a lump just to pass.
+
+    A slot of width a stops a lump by its middle dimension b: b/a, for lumps lie on their flat side.
+    A rectangle a ≤ b lets a lump through that stands up, as an ellipse of its middle and shortest
+    dimension M and S at any turn: S ≤ a, and M ≤ b or M² + S² ≤ a² + b². Of a square that is the
+    sieve's law (M² + S²)/2 ≤ a² (Church, McLean and Wolcott 1987).
+    """
+    middle, shortest = float(size_m[1]), float(size_m[2])
+    if len(openings_m) == 1:
+        return middle / openings_m[0]
+    low, high = sorted(openings_m)
+    turned = float(np.hypot(middle, shortest) / np.hypot(low, high))
+    return max(shortest / low, min(middle / high, turned))
