@@ -159,7 +159,7 @@ def test_scorer_of_other_features_is_refused() -> None:
 def test_what_the_cues_decide_is_not_judged_again(stereo: LabelledCloud) -> None:
     evidence = gather_stereo(stereo.voxels, 16)
     first, final = (
-        load_scorer("stereo").passes[0].probability(evidence.cues),
+        load_scorer("stereo").passes[0].probability(evidence.cues(slice(None))),
         run_passes(evidence, load_scorer("stereo")),
     )
     sure = (first <= SURE) | (first >= 1 - SURE)
@@ -170,8 +170,8 @@ def test_what_the_cues_decide_is_not_judged_again(stereo: LabelledCloud) -> None
 
 def test_all_voxels_decided_by_cues_need_no_neighbours(stereo: LabelledCloud) -> None:
     evidence = gather_stereo(stereo.voxels, 16)
-    certain = Network([0.0] * evidence.cues.shape[1], [1.0] * evidence.cues.shape[1],
-                      [[0.0]] * evidence.cues.shape[1], [0.0], [0.0], -30.0)  # fmt: skip
+    width = evidence.cues(slice(0)).shape[1]
+    certain = Network([0.0] * width, [1.0] * width, [[0.0]] * width, [0.0], [0.0], -30.0)
     scorer = Scorer(list(evidence.names), [certain, load_scorer("stereo").passes[1]])
     assert run_passes(evidence, scorer).max() < SURE
 

@@ -164,7 +164,7 @@ def test_a_saturated_highlight_has_no_disparity() -> None:
 def test_every_cue_is_a_finite_image_and_tells_noise_from_surface(flat_plane_pair) -> None:
     pair = flat_plane_pair.pair
     spoilt = pair.right.copy()
-    spoilt[100:200, 150:300] = np.random.default_rng(2).integers(0, 255, (100, 150, 3))
+    spoilt[60:260, 100:350] = np.random.default_rng(2).integers(0, 255, (200, 250, 3))
     disparity = matching.match(replace(pair, right=spoilt), whole(pair.rig), CONFIG)
     assert set(disparity.cues) == set(CUES)
     valid = np.isfinite(disparity.values)

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import multiprocessing
 import os
 import signal
 import socket
@@ -17,7 +18,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from live import ListSink, free_port, names_in, running, wait_for
+from live import ListSink, free_port, lines_of, names_in, running, wait_for
 from typer.testing import CliRunner
 
 from stereo_ore.cli import app, load_verbs
@@ -27,7 +28,10 @@ from stereo_ore.io.lock import FolderLock
 from stereo_ore.io.recordings import open_source
 from stereo_ore.plant.camera import LiveCamera, open_camera
 from stereo_ore.plant.frames import LiveFrame, Position, ReplayedRecording
-from stereo_ore.plant.loop import processing
+from stereo_ore.plant.live_folder import LiveFolder
+from stereo_ore.plant.loop import Done, processing, serve
+from stereo_ore.plant.publisher import Publisher
+from stereo_ore.plant.status import PlantStatus
 from stereo_ore.runs.driver import Driver
 from stereo_ore.runs.frame_files import FrameFiles
 from stereo_ore.runs.history import Watch
@@ -298,37 +302,72 @@ class Endless:
         return "endless"
 
 
+def test_a_frame_is_recorded_then_published_and_its_files_come_last(tmp_path):
+    order, stop = [], threading.Event()
+
+    class Showing(ListSink):
+        def show(self, message: Any, record: Any, age_s: float) -> None:
+            order.append(("targets", names_in(tmp_path / "frames.jsonl.part")))
+
+        def show_files(self, record: Any) -> None:
+            order.append(("shown", record["frame"]))
+
+    def process(frame: LiveFrame) -> Done:
+        stop.set()
+        return Done(lines_of(frame), lambda: order.append(("files", frame.name)))
+
+    with LiveFolder(tmp_path, {"source": "endless"}) as folder, Publisher([Showing()], 5) as told:
+        status = PlantStatus(Endless(), told, lambda: "")
+        assert serve(Endless(), process, folder, told, status, stop) == 1
+    assert order == [("targets", ["000000"]), ("files", "000000"), ("shown", "000000")]
+
+
 def read_all(consumer: socket.socket) -> None:
     with contextlib.suppress(OSError):
         while consumer.recv(1 << 16):
             pass
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="needs /proc")
-def test_20_000_frames_leave_memory_and_handles_flat(tmp_path):
-    def used() -> tuple[float, int]:
-        pages = int(Path("/proc/self/statm").read_text().split()[1])
-        return pages * os.sysconf("SC_PAGE_SIZE") / 1e6, len(list(Path("/proc/self/fd").iterdir()))
+def used() -> tuple[float, int]:
+    """Resident memory [MB] and open handles of this process."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6, len(list(Path("/proc/self/fd").iterdir()))
 
-    pytest.importorskip("asyncua", reason="asyncua is not installed")
+
+def serve_20_000(out: Path, found: Any) -> None:
+    """Put what is used after each thousand frames into a queue."""
     from stereo_ore.plant.sinks.opcua import OpcUaSink
     from stereo_ore.plant.sinks.tcp import TcpSink
 
     sinks = [OpcUaSink("127.0.0.1", free_port()), TcpSink("127.0.0.1", 0)]
-    with running(Endless(), tmp_path / "out", sinks) as (status, _, _):
+    with (
+        running(Endless(), out, sinks) as (status, _, _),
+        socket.create_connection(("127.0.0.1", sinks[1].port)) as consumer,
+    ):
+        drain = threading.Thread(target=read_all, args=(consumer,))
+        drain.start()
+        for count in range(1000, 20_001, 1000):
+            wait_for(lambda count=count: sum(status.json()["frames"].values()) > count, 600)
+            found.put(used())
+        consumer.shutdown(socket.SHUT_RDWR)
+        drain.join()
 
-        def done() -> int:
-            return sum(status.json()["frames"].values())
 
-        with socket.create_connection(("127.0.0.1", sinks[1].port)) as consumer:
-            drain = threading.Thread(target=read_all, args=(consumer,))
-            drain.start()
-            wait_for(lambda: done() > 2000, 120)
-            memory, handles = used()
-            wait_for(lambda: done() > 20_000, 300)
-            memory_after, handles_after = used()
-            consumer.shutdown(socket.SHUT_RDWR)
-            drain.join()
-    assert memory_after < 1.1 * memory
-    assert handles_after <= handles
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="needs /proc")
+def test_20_000_frames_leave_memory_and_handles_flat(tmp_path):
+    """In a process of its own: what other tests have left behind is none of it."""
+    pytest.importorskip("asyncua", reason="asyncua is not installed")
+    own = multiprocessing.get_context("spawn")
+    found = own.Queue()
+    process = own.Process(target=serve_20_000, args=(tmp_path / "out", found))
+    process.start()
+    samples = np.array([found.get(timeout=700) for _ in range(20)])
+    process.join(60)
+    assert process.exitcode == 0
+    memory, handles = samples.T
+    # Outboxes and allocators fill up at first; names are remembered until a part is closed. 300
+    # bytes a frame that stay would be 3 MB here.
+    assert np.median(memory[-5:]) - np.median(memory[4:9]) < 3, memory
+    # A file is open now and then when they are counted, early and late alike.
+    assert handles[10:].max() <= handles[:10].max(), handles

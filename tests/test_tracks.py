@@ -22,7 +22,7 @@ from stereo_ore.lab.synth.sensor import Sensor
 from stereo_ore.runs.driver import frame_lines
 from stereo_ore.runs.folder import FrameLines
 from stereo_ore.runs.history import Watch
-from stereo_ore.runs.tracks import PATIENCE
+from stereo_ore.runs.tracks import PATIENCE, STILL_SHARE
 
 Place = tuple[float, float, float]
 HERE, THERE = (0.0, 0.0, 2.0), (0.5, 0.2, 2.0)
@@ -87,7 +87,7 @@ def events(records: Sequence[dict[str, Any]], kind: str) -> list[tuple[int, int,
 
 
 def test_a_lump_keeps_its_number_whatever_its_id() -> None:
-    near = (0.02, 0.0, 2.03)
+    near = (0.01, 0.0, 2.01)
     records = followed(
         [frame(lump(HERE), lump(THERE)), frame(lump(THERE), lump(near)), frame(lump(HERE))]
     )
@@ -96,15 +96,24 @@ def test_a_lump_keeps_its_number_whatever_its_id() -> None:
 
 
 def test_size_flag_and_centre_are_means_weighed_by_their_deviations() -> None:
-    sure, unsure = lump(HERE, 0.31), lump((0.03, 0.0, 2.0), 0.28, sigma=0.02)
+    sure, unsure = lump(HERE, 0.31), lump((0.015, 0.0, 2.0), 0.28, sigma=0.02)
     *_, last = followed([frame(sure), frame(sure), frame(unsure)])
     (ore,) = last["ores"]
     share = 1 / (1 + 2 * 4)
     assert ore["size_m"][1] == pytest.approx(0.31 - share * 0.03, abs=1e-6)
-    assert ore["centre_of_gravity"]["camera"][0] == pytest.approx(share * 0.03, abs=1e-6)
+    assert ore["centre_of_gravity"]["camera"][0] == pytest.approx(share * 0.015, abs=1e-6)
     assert ore["centre_of_gravity"]["sigma_m"][0] == pytest.approx(0.01 + share * 0.01, abs=1e-6)
     # Alone the last frame says that it passes; together they don't, and it stays a target.
     assert (ore["oversize"], codes(ore), last["targets"]) == (True, [], [1])
+
+
+def test_no_centre_of_gravity_lags_behind_a_lump_that_slides() -> None:
+    places = [0.015 * k for k in range(40)]
+    records = followed([frame(lump((x, 0.0, 2.0))) for x in places])
+    assert {n for record in records for n in numbers(record)} == {1}
+    for x, record in zip(places, records, strict=True):
+        (ore,) = record["ores"]
+        assert abs(ore["centre_of_gravity"]["camera"][0] - x) < STILL_SHARE * 2.2
 
 
 def test_a_flag_at_the_edge_of_the_margin_stays_as_it_is() -> None:

@@ -30,6 +30,9 @@ PATIENCE = 5
 """Frames without a lump after which it is given up, where `order.confirm` looks at fewer."""
 MOST_FUSED = 20
 """Frames that the mean of a lump goes over, nearly: what changes slowly is followed."""
+STILL_M, STILL_SHARE = 0.01, 0.01
+"""A centre of gravity farther than this, or this share of the distance, from the mean is that of a
+lump that slid: its mean begins anew, so that no target lags behind its lump."""
 CALM = (1.0, 0.5, 1.5)
 """Shares of `solid.oversize_margin` at one of which a flag must hold to stay as it is; the first
 decides where none does."""
@@ -137,7 +140,7 @@ class Tracks:
 
     def _known(self, ore: Json, track: LumpTrack, record: Json) -> Json:
         """A lump's entry with the means over its frames, and the flag that they give."""
-        fused = _mean(ore, track.ore) | {"track": _count(track)}
+        fused = _mean(ore, track.ore) if _is_still(ore, track.ore) else _numbered(ore, track.number)
         if not (fused["size_m"] and record["grizzly"]):
             return fused
         openings = record["grizzly"]["openings_m"]
@@ -225,13 +228,20 @@ def _mean(ore: Json, before: Json) -> Json:
     side, which is the same in each frame of a still scene: the errors are taken for common to all,
     so that the deviation of the mean is that of a frame.
     """
-    if not (ore["centre_of_gravity"] and before["centre_of_gravity"]):
-        return ore
     frames = min(before["track"]["frames"], MOST_FUSED - 1)
     new, old = (_variance(each["centre_of_gravity"]["sigma_m"]) for each in (ore, before))
     share = old / (old + frames * new)
     keys = ("centre_of_gravity", "volume_m3", "volume_bounds_m3", "size_m")
-    return ore | {key: _between(before[key], ore[key], share) for key in keys}
+    track = {"number": _number(before), "frames": before["track"]["frames"] + 1}
+    return ore | {key: _between(before[key], ore[key], share) for key in keys} | {"track": track}
+
+
+def _is_still(ore: Json, before: Json) -> bool:
+    """Whether a lump's centre of gravity is where the mean of its frames has it."""
+    if not (ore["centre_of_gravity"] and before["centre_of_gravity"]):
+        return False
+    here, there = (np.array(o["centre_of_gravity"]["camera"]) for o in (ore, before))
+    return bool(np.linalg.norm(here - there) < max(STILL_M, STILL_SHARE * here[2]))
 
 
 def _variance(sigma_m: Sequence[float]) -> float:
@@ -279,10 +289,6 @@ def _event(track: LumpTrack, code: str, detail: str) -> Json:
 
 def _numbered(ore: Json, track: int) -> Json:
     return ore | {"track": {"number": track, "frames": 1}}
-
-
-def _count(track: LumpTrack) -> Json:
-    return {"number": track.number, "frames": track.ore["track"]["frames"] + 1}
 
 
 def _number(ore: Json) -> int:

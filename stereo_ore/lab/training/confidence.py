@@ -18,11 +18,11 @@ from stereo_ore.lab.training.networks import fit_network
 from stereo_ore.network import Network
 from stereo_ore.stages import matching
 from stereo_ore.stages.matching import confidence, consistency, light, sgbm
-from stereo_ore.stages.matching.confidence import RIGHT_PX, WITNESSES
+from stereo_ore.stages.matching.confidence import FEATURES, RIGHT_PX
 from stereo_ore.stages.matching.match import evidence, grey
 from stereo_ore.types import F32, U8, Mask, RectifiedPair
 
-_PIXELS, HIDDEN, EPOCHS, _FOLDS = 4000, 12, 12, 4
+_PIXELS, HIDDEN, EPOCHS, _FOLDS = 5000, 16, 16, 4
 """Pixels of a view that the network learns from, its units, how often it sees each, and folds of
 whole sets."""
 
@@ -36,7 +36,7 @@ _Fault = Callable[[StereoSet, np.random.Generator], RectifiedPair]
 
 @dataclass(frozen=True)
 class _View:
-    """Examples of one pair: witnesses (N, F), whether the disparity is right (N,); views of one set
+    """Examples of one pair: features (N, F), whether the disparity is right (N,); views of one set
     share its name.
     """
 
@@ -119,10 +119,10 @@ def _view(data: StereoSet, fault: str, config: MatchingConfig, rng: np.random.Ge
         sgbm.crop(grey(data.pair.left), grey(data.pair.right), region), config
     )
     found = consistency.match_both(images, config, compared)
-    values, _, witnesses = evidence(images, found, confidence.agreement(found.difference))
+    values, _, seen = evidence(images, found, confidence.context(found))
     error = values + np.float32(region.min_disparity) - data.truth[region.slices]
     at = rng.permutation(np.flatnonzero(found.valid & np.isfinite(error)))[:_PIXELS]
-    features = np.column_stack([np.ravel(witness)[at] for witness in witnesses])
+    features = np.column_stack([np.ravel(feature)[at] for feature in seen])
     return _View(data.name, fault, features, np.asarray(np.abs(np.ravel(error)[at]) <= RIGHT_PX))
 
 
@@ -171,6 +171,6 @@ def to_json(
         },
     }
     text = json.dumps(
-        {"provenance": made, "witnesses": WITNESSES, "network": asdict(network)}, indent=1
+        {"provenance": made, "features": FEATURES, "network": asdict(network)}, indent=1
     )
     return text.replace(",\n    ", ", ").replace("[\n    ", "[").replace("\n   ]", "]") + "\n"

@@ -19,7 +19,6 @@ from stereo_ore.stages.filters.evidence import (
 )
 from stereo_ore.stages.filters.neighbours import columns, nearest
 from stereo_ore.stages.filters.surface import LEAST, fit_weighted_planes, log_odds
-from stereo_ore.threads import map_rows
 from stereo_ore.types import CONTEXT, CUES, F32, VoxelCloud
 
 FLOORS = {
@@ -50,12 +49,12 @@ def has_cues(voxels: VoxelCloud) -> bool:
 
 @dataclass(frozen=True)
 class StereoEvidence:
-    """Of a cloud with cues: points in image space in voxels (M, 3), cue features (M, F), neighbours
-    wanted.
+    """Of a cloud with cues: points in image space in voxels (M, 3), what tells the cue features
+    (n, F) of some rows, neighbours wanted.
     """
 
     points: F32
-    cues: F32
+    cues: Callable[[slice | Rows], F32]
     k: int
 
     names = (
@@ -77,22 +76,21 @@ class StereoEvidence:
         neighbours, weighted by how likely each is to be surface (`surface.fit_weighted_planes`);
         the odds of the pass before, and of the neighbours.
         """
-        everything = np.arange(len(noise))
         if number == 0 or not len(noise):
-            return Questions(everything, _NOTHING, self.cues.__getitem__)
+            return Questions(np.arange(len(noise)), _NOTHING, self.cues)
         rows = np.flatnonzero((noise > SURE) & (noise < 1 - SURE))
         return Questions(rows, _NOTHING, self._table(noise, rows))
 
     def _table(self, noise: F32, rows: Rows) -> Callable[[slice], F32]:
         if not len(rows):
-            return lambda part: self.cues[rows[part]]
+            return lambda part: self.cues(rows[part])
         at = self.points[rows]
         index, distance = nearest(self.points, at, min(self.k + 1, len(self.points)))
         index, distance = index[:, 1:], distance[:, 1:]
         density = np.log(mean_distances(distance) + np.float32(LEAST))
         planes, odds = fit_weighted_planes(self.points, index, 1 - noise, at), log_odds(noise)
         found = columns(density, planes.shape, odds[rows], mean_of(odds, index))
-        return lambda part: columns(self.cues[rows[part]], found[part])
+        return lambda part: columns(self.cues(rows[part]), found[part])
 
 
 def stereo_evidence(voxels: VoxelCloud, k: int) -> StereoEvidence:
@@ -117,30 +115,29 @@ def image_space(voxels: VoxelCloud) -> F32:
     return image.astype(np.float32)
 
 
-def _cues(voxels: VoxelCloud) -> F32:
-    """Cues (M, F): shares as they are, offsets as sign(o)·log(1 + 3|o|), logarithms of all else.
+def _cues(voxels: VoxelCloud) -> Callable[[slice | Rows], F32]:
+    """What tells the cues (n, F) of some rows: shares as they are, offsets as
+    sign(o)·log(1 + 3|o|), logarithms of all else; what the matcher did not know counts as 0.
 
     Then the points behind a voxel over those it has room for, its edge in pixels, depth noise in
-    edges, and what lies around, none of it beyond ±`MOST`.
+    edges, and what lies around, none of it beyond ±`MOST`. A table of all rows would cost more to
+    write and read than what some rows cost again.
     """
-    room = voxels.size_m / voxels.pixel_m
 
-    def chunk(rows: slice) -> F32:
-        cue = {
-            name: np.nan_to_num(voxels.cues[name][rows], nan=0.0, posinf=0.0, neginf=0.0)
+    def features(rows: slice | Rows) -> F32:
+        own = (
+            _scaled(name, np.nan_to_num(voxels.cues[name][rows], nan=0.0, posinf=0.0, neginf=0.0))
             for name in CUES
-        }
-        plain = (
-            voxels.count[rows] / room[rows] ** 2,
-            room[rows],
-            voxels.sigma_z[rows] / voxels.size_m,
         )
-        around = (np.clip(voxels.cues[name][rows], -MOST, MOST) for name in CONTEXT)
-        return columns(
-            *(_scaled(name, cue[name]) for name in CUES), *(np.log(x) for x in plain), *around
-        )
+        room = voxels.size_m / voxels.pixel_m[rows]
+        plain = (voxels.count[rows] / room**2, room, voxels.sigma_z[rows] / voxels.size_m)
+        around = (voxels.cues[name][rows] for name in CONTEXT)
+        table = columns(*own, *(np.log(x) for x in plain), *around)
+        limited = table[:, -len(CONTEXT) :]
+        np.clip(limited, -MOST, MOST, out=limited)
+        return table
 
-    return map_rows(chunk, len(voxels))
+    return features
 
 
 def _scaled(name: str, cue: F32) -> F32:

@@ -20,9 +20,9 @@ from stereo_ore.types import F32, F64, Disparity, Mask, Plane, Registration, Rig
 
 _SAMPLE = 10_000
 """Pixels looked at."""
-WINDOW = 0.5
-"""Bars are looked for this far above and below their place [openings]; farther off the check of the
-screen tells."""
+WINDOWS = (0.5, 1.5)
+"""Bars are looked for this far above and below their place [openings]; those that only the wider
+search finds are too far off to be put right, which is for the checks to say."""
 _BIN_PX, SMOOTH_BINS = 0.1, 7
 TUKEY_PX = (1.5, 1.0, 0.7, 0.5, 0.5)
 """Residuals [px] beyond which a pixel has no weight, of successive fits (Beaton & Tukey 1974)."""
@@ -60,7 +60,15 @@ def register(
         None where too little of the bars is seen, or nothing near their place.
     """
     pixels = _draw(disparity, rig, plane, site)
-    near = pixels.where(np.abs(plane.height(pixels.xyz)) < WINDOW * _opening(site))
+    searched = (_within(w * _opening(site), pixels, rig, plane, site, config) for w in WINDOWS)
+    return next((found for found in searched if found is not None), None)
+
+
+def _within(
+    window_m: float, pixels: _Pixels, rig: Rig, plane: Plane, site: Site, config: GrizzlyConfig
+) -> Registration | None:
+    """The registration from pixels that are so near to the plane."""
+    near = pixels.where(np.abs(plane.height(pixels.xyz)) < window_m)
     if len(near.excess) < _FEWEST:
         return None
     field, _ = _tukey(near, np.array([_mode(near.excess), 0.0, 0.0]))

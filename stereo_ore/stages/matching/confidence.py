@@ -14,8 +14,9 @@ import numpy as np
 
 from stereo_ore.network import Network
 from stereo_ore.stages.matching import sgbm, windows
+from stereo_ore.stages.matching.consistency import Agreement
 from stereo_ore.threads import pool
-from stereo_ore.types import F32, I16
+from stereo_ore.types import F32, Mask
 
 RIGHT_PX = 1.0
 """A disparity is right when it is within this of the truth."""
@@ -26,17 +27,21 @@ AGREED_PX = 2.0
 _NEAR_PX = (7, 21, 61)
 """Windows in which the share of pixels that agree is taken."""
 
+_INNER_PX = 24.0
+"""Pixels farther than this from any without a disparity are alike."""
+
 _STEP_PX, MAX_STEP_PX = 9, 16.0
 """Window over which steps of disparity are averaged, and how much one counts at most."""
 
-WITNESSES = (
-    "lr_diff_px", "agreed_7", "agreed_21", "agreed_61", "texture", "residual", "median_diff_px",
-    "spread_px",
-    "valid_share", "step_px",
+_CONTEXT = (*(f"agreed_{side}" for side in _NEAR_PX), "inside_px")
+FEATURES = (
+    "lr_diff_px", *_CONTEXT, "texture", "residual", "median_diff_px", "spread_px", "valid_share",
+    "step_px",
 )  # fmt: skip
 """What the network is given: cues of `types.CUES`, and
 
 agreed_N    share of the pixels of a window on which left and right match agree, 0…1
+inside_px   logarithm of one plus the distance to the nearest pixel without a disparity
 residual    logarithm of one plus the standard deviation of left − warped right over a window
             [grey levels]
 texture     logarithm of one plus the cue of that name
@@ -44,27 +49,32 @@ step_px     mean size of the steps of disparity along the rows in a window, px
 """
 
 
-def agreement(difference: I16) -> list[F32]:
-    """Share of pixels that agree in each window of `_NEAR_PX`, (h, w) each, from differences [px /
-    16].
-    """
-    agreed = difference <= np.int16(AGREED_PX * sgbm.SUBPIXEL)
-    return list(
-        pool().map(
-            lambda side: windows.count_valid(agreed, side) * np.float32(1 / side**2), _NEAR_PX
-        )
-    )
+def context(found: Agreement) -> list[F32]:
+    """The features of `_CONTEXT`, (h, w) each, which look farther than a band of rows reaches."""
+    agreed = found.difference <= np.int16(AGREED_PX * sgbm.SUBPIXEL)
+    jobs = [pool().submit(_share, agreed, side) for side in _NEAR_PX]
+    jobs.append(pool().submit(_inside, found.valid))
+    return [job.result() for job in jobs]
 
 
-def witnesses(cues: Mapping[str, F32], agreed: list[F32], residual: F32, filled: F32) -> list[F32]:
-    """`WITNESSES` of some rows, (h, w) each.
+def _share(agreed: Mask, side: int) -> F32:
+    return windows.count_valid(agreed, side) * np.float32(1 / side**2)
+
+
+def _inside(valid: Mask) -> F32:
+    away = cv2.distanceTransform(valid.view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_3)
+    return np.asarray(np.log1p(np.minimum(away, np.float32(_INNER_PX))), np.float32)
+
+
+def features(cues: Mapping[str, F32], around: list[F32], residual: F32, filled: F32) -> list[F32]:
+    """`FEATURES` of some rows, (h, w) each.
 
     Parameters
     ----------
     cues : mapping
         From `cues.pixel_cues`.
-    agreed : list
-        From `agreement`.
+    around : list
+        From `context`.
     residual : (h, w) float32
         From `subpixel.refine_disparity` [grey levels].
     filled : (h, w) float32
@@ -73,16 +83,16 @@ def witnesses(cues: Mapping[str, F32], agreed: list[F32], residual: F32, filled:
     step = np.minimum(np.abs(cv2.Sobel(filled, cv2.CV_32F, 1, 0)), np.float32(MAX_STEP_PX))
     found = {
         **cues,
-        **{f"agreed_{side}": share for side, share in zip(_NEAR_PX, agreed, strict=True)},
+        **dict(zip(_CONTEXT, around, strict=True)),
         "texture": np.log1p(cues["texture"]),
         "residual": np.log1p(residual),
         "step_px": windows.total(step, _STEP_PX) * np.float32(1 / _STEP_PX**2),
     }
-    return [found[name] for name in WITNESSES]
+    return [found[name] for name in FEATURES]
 
 
 def probability_right(seen: list[F32], network: Network | None = None) -> F32:
-    """Probability of being within `RIGHT_PX` of the truth, (h, w) float32, from `witnesses`; the
+    """Probability of being within `RIGHT_PX` of the truth, (h, w) float32, from `features`; the
     shipped network.
     """
     return (network or shipped()).map(seen)
@@ -94,6 +104,6 @@ def shipped() -> Network:
     stored = json.loads(
         (files("stereo_ore.stages.matching") / "confidence.json").read_text(encoding="utf-8")
     )
-    if tuple(stored["witnesses"]) != WITNESSES:
-        raise ValueError("confidence.json was trained on other witnesses; train it again")
+    if tuple(stored["features"]) != FEATURES:
+        raise ValueError("confidence.json was trained on other features; train it again")
     return Network(**stored["network"])

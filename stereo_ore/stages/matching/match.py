@@ -80,13 +80,13 @@ def _measure(images: sgbm.Crop, found: Agreement) -> _Measured:
     # One block: memory for many images costs more time to get than to fill.
     values, chances, *rest = np.empty((len(PIXEL_CUES) + 2, *shape), np.float32)
     doubts = dict(zip(PIXEL_CUES, rest, strict=True))
-    agreed = confidence.agreement(found.difference)
+    context = confidence.context(found)
 
     def measure(rows: slice, core: slice, band: slice) -> None:
-        near = [share[rows] for share in agreed]
-        refined, seen, witnesses = evidence(images.rows(rows), found.rows(rows), near)
+        near = [image[rows] for image in context]
+        refined, seen, features = evidence(images.rows(rows), found.rows(rows), near)
         values[band] = refined[core]
-        chances[band] = confidence.probability_right([witness[core] for witness in witnesses])
+        chances[band] = confidence.probability_right([feature[core] for feature in features])
         for name, cue in seen.items():
             doubts[name][band] = cue[core]
 
@@ -95,7 +95,7 @@ def _measure(images: sgbm.Crop, found: Agreement) -> _Measured:
 
 
 def evidence(
-    images: sgbm.Crop, found: Agreement, agreed: list[F32]
+    images: sgbm.Crop, found: Agreement, context: list[F32]
 ) -> tuple[F32, dict[str, F32], list[F32]]:
     """Refined disparities in the crop [px], cues, and what the confidence is judged by, all (h, w)
     float32.
@@ -106,14 +106,14 @@ def evidence(
         Grey images.
     found : Agreement
         Of both directions.
-    agreed : list
-        From `confidence.agreement`.
+    context : list
+        From `confidence.context`.
     """
     around, matched = windows.support(found.valid), found.left * found.valid
     filled = sgbm.to_px(matched)
     refined = subpixel.refine_disparity(images, filled, around)
     seen = cues.pixel_cues(found, matched, around, refined.residual)
-    return refined.values, seen, confidence.witnesses(seen, agreed, refined.residual, filled)
+    return refined.values, seen, confidence.features(seen, context, refined.residual, filled)
 
 
 def grey(image: U8) -> U8:

@@ -17,16 +17,16 @@ from stereo_ore.types import F32, U8
 _PATCH_PX = 7
 """Window over which the images are compared."""
 
-_STEP_PX = 1.5
+_STEP_PX = 2.0
 """Disparities are averaged before and after; such a step ends a surface."""
 
 REACH_PX = 2 * (windows.SMOOTH_PX // 2) + _PATCH_PX // 2
 """How far from a pixel the refinement looks."""
 
-MAX_SHIFT_PX = 0.35
+MAX_SHIFT_PX = 0.25
 """The matcher's parabola is hardly ever more wrong than this on the right minimum."""
 
-_NOISE, ROW_NOISE = 1.0, 3.0
+_NOISE, ROW_NOISE = 0.3, 3.0
 """Variance of the gradient along rows that noise alone makes [grey levels²]: without texture the
 parabola stands. That along columns is counted as more, since rows are nearly aligned: a shift of
 rows must be plain to be believed."""
