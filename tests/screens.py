@@ -19,7 +19,8 @@ SIGMA_PX = 0.15
 class Screen:
     """What is drawn: bars in a square hole of a floor or frame, which is cropped beyond `rim`.
 
-    Lumps are spheres (along the bars, across, height of the centre over the bars, radius) [m].
+    With `cross` bars as wide run across them, so far apart [m]. Lumps are spheres (along the bars,
+    across, height of the centre over the bars, radius) [m].
     """
 
     tilt: float = 0.0
@@ -33,6 +34,7 @@ class Screen:
     noise_px: float = 0.0
     seed: int = 0
     bars: bool = True
+    cross: float | None = None
 
     @property
     def axes(self) -> F64:
@@ -73,6 +75,9 @@ def _steel(screen: Screen, ray: F64) -> tuple[F64, F64]:
     s, c = s - along[2] * DISTANCE, c - across[2] * DISTANCE
     inside = (np.abs(s) < screen.half) & (np.abs(c) < screen.half)
     bar = inside & (np.abs(c - PITCH * np.round(c / PITCH)) < WIDTH / 2) & screen.bars
+    if screen.cross is not None:
+        pitch = screen.cross + WIDTH
+        bar |= inside & (np.abs(s - pitch * np.round(s / pitch)) < WIDTH / 2)
     solid, pit = ~inside | bar, (screen.plane.offset - screen.pit) / (ray @ normal)
     depth = np.where(solid, reach, pit)
     outside = screen.frame_height if screen.floor is None else -screen.floor

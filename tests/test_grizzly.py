@@ -189,3 +189,41 @@ def test_the_screen_of_a_synth_scene(synth_scene: synth.Scene):
     found = grizzly.find(surface, replace(site, plane=None), CONFIG)
     assert angle_deg(found.plane.normal, site.plane.normal) < 0.5
     assert found.plane.offset == pytest.approx(site.plane.offset, abs=0.005)
+
+
+# --- grids
+
+
+@pytest.mark.parametrize("cross", [0.15, 0.21])
+def test_bars_across_are_found_where_nobody_described_them(cross: float) -> None:
+    screen = Screen(tilt=0.2, yaw=0.5, half=0.7, noise_px=0.1, cross=cross)
+    found = grizzly.find(draw(screen)[0], IN_VOLUME, CONFIG)
+    assert found.cross_bars is not None
+    assert found.openings_m is not None
+    assert sorted(found.openings_m) == pytest.approx(sorted((OPENING, cross)), rel=0.04)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_grid_that_is_described_is_laid_over_the_bars_either_way(turned: bool) -> None:
+    cross = 0.22
+    screen = Screen(tilt=0.2, yaw=0.5, half=0.7, noise_px=0.1, cross=cross)
+    openings = (cross, OPENING) if turned else (OPENING, cross)
+    site = Site(opening_m=openings[0], cross_opening_m=openings[1], bar_width_m=WIDTH)
+    found = grizzly.find(draw(screen)[0], replace(site, plane=screen.plane), CONFIG)
+    assert found.openings_m == openings
+    assert found.bars is not None
+    assert found.cross_bars is not None
+    along, across, _ = screen.axes
+    expected = (along, across) if turned else (across, along)
+    assert angle_deg(found.bars.across, expected[0]) < 2
+    assert angle_deg(found.cross_bars.across, expected[1]) < 2
+    assert found.diagnostics["bar_contrast"] > 0.5
+
+
+@pytest.mark.parametrize("site", [Site(), IN_VOLUME, KNOWN])
+def test_parallel_bars_are_no_grid(site: Site) -> None:
+    screen = Screen(tilt=0.2, yaw=0.5, half=0.7, noise_px=0.1)
+    found = grizzly.find(draw(screen)[0], site, CONFIG)
+    assert found.cross_bars is None
+    assert found.openings_m is not None
+    assert len(found.openings_m) == 1

@@ -196,8 +196,10 @@ def test_a_part_can_not_be_monitored_and_the_rest_can(sink: OpcUaSink, arm: Arm)
 def test_arrays_tell_their_rank_and_length(sink: OpcUaSink, arm: Arm):
     lengths = dict.fromkeys(("Position", "Direction", "Size", "Sigma", "Centre"), 48)
     lengths |= {"VolumeBounds": 32, "AlternatePosition": 144, "AlternateDirection": 144}
-    lengths["Reasons"] = 0
-    lengths |= dict.fromkeys(("SequenceNumber", "Id", "Oversize", "Score", "Volume"), OPCUA_SLOTS)
+    lengths |= dict.fromkeys(("Reasons", "Foreign"), 0)
+    lengths |= dict.fromkeys(
+        ("SequenceNumber", "Id", "Oversize", "Score", "Volume", "Track"), OPCUA_SLOTS
+    )
     for name, variable in VARIABLES.items():
         found = arm.client.get_node(arm.id(name))
         assert found.read_value_rank() == (1 if name in lengths else -1)

@@ -92,6 +92,16 @@ def test_a_message_carries_targets_in_order_with_unit_and_frame():
     assert sent["valid_until_ns"] - sent["published_ns"] == pytest.approx(5e9, rel=0.01)
 
 
+def test_a_target_has_its_rank_and_track_and_a_message_names_foreign_bodies():
+    record = make_record(4, ores=3, targets=[3, 1])
+    record["ores"][2]["track"] = {"number": 17, "frames": 4}
+    record["foreign"] = [{"name": "boom"}]
+    sent = message(record, 7, Origin(), age_s=0.0, valid_for_s=5.0).json()
+    told = [(target["id"], target["rank"], target["track"]) for target in sent["targets"]]
+    assert told == [(3, 1, 17), (1, 2, None)]
+    assert sent["foreign"] == ("boom",)
+
+
 @pytest.mark.parametrize("status", ["degraded", "failed", "empty"])
 def test_only_ok_frames_have_targets(status):
     # Even a record that lists targets beside a bad status must not move an arm.

@@ -67,6 +67,17 @@ def test_the_plane_may_be_auto_and_all_may_be_absent(tmp_path: Path) -> None:
     assert empty == Site()
 
 
+def test_a_grid_has_two_openings_and_survives_a_round_trip(tmp_path: Path) -> None:
+    changes = {"opening_m": None, "openings_m": [0.3, 0.4], "bar_profile": "round"}
+    site = load_site(
+        write(tmp_path, **{f"grizzly__{key}": value for key, value in changes.items()})
+    )
+    assert (site.opening_m, site.cross_opening_m, site.bar_profile) == (0.3, 0.4, "round")
+    save_site(site, tmp_path / "again.yaml")
+    again = load_site(tmp_path / "again.yaml")
+    assert (again.opening_m, again.cross_opening_m, again.bar_profile) == (0.3, 0.4, "round")
+
+
 def test_the_background_stands_beside_the_site_file(tmp_path: Path) -> None:
     site = load_site(write(tmp_path, background="empty.npz"))
     assert site.background == tmp_path / "empty.npz"
@@ -147,6 +158,16 @@ BROKEN = {
     "empty box": ({"working_volume__min_m": [2, 0, 0]}, "less than"),
     "unknown frame": ({"working_volume__frame": "world"}, "'arm' or 'camera'"),
     "zero normal": ({"grizzly__plane__normal": [0, 0, 0]}, "zero"),
+    "openings of slots and of a grid": (
+        {"grizzly__openings_m": [0.3, 0.4]},
+        "opening_m is of slots, openings_m of a grid",
+    ),
+    "one opening of a grid": ({"grizzly__openings_m": [0.3]}, "openings_m"),
+    "openings in millimetres": (
+        {"grizzly__opening_m": None, "grizzly__openings_m": [0.3, 400]},
+        "grizzly.openings_m: 400.0 m is more than 3 m",
+    ),
+    "no profile": ({"grizzly__bar_profile": "square"}, "bar_profile"),
     "no opening": ({"grizzly__opening_m": 0}, "opening_m"),
     "opening in millimetres": (
         {"grizzly__opening_m": 300},

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from stereo_ore.config.models import SolidConfig
 from stereo_ore.planes import fit_planes
-from stereo_ore.stages.solid import looks, prior, solids
+from stereo_ore.stages.solid import is_oversize, looks, over_hole, prior, solids
 from stereo_ore.stages.solid.cues import gather_cues
 from stereo_ore.stages.solid.measure import (
     IN_PLANE_TURNS,
@@ -279,3 +279,46 @@ def test_terms_are_cues_held_within_reach_and_their_products() -> None:
     np.testing.assert_allclose(
         model(np.array([-99.0, 1.5])), 1 + np.array([-far, 1.5, near**2, -1.5 * near])
     )
+
+
+# --- what passes a hole
+
+
+@pytest.mark.parametrize(
+    ("size", "openings", "ratio"),
+    [
+        ((0.9, 0.3, 0.1), (0.3,), 1.0),
+        ((0.9, 0.3, 0.3), (0.3, 0.3), 1.0),
+        # On edge and turned by 45°, a flat lump passes a square that is smaller than it is wide.
+        ((0.9, 0.4, 0.1), (0.3, 0.3), np.hypot(0.4, 0.1) / np.hypot(0.3, 0.3)),
+        ((0.9, 0.4, 0.1), (0.4, 0.3), np.hypot(0.4, 0.1) / 0.5),
+        ((0.9, 0.35, 0.32), (0.3, 0.6), 0.32 / 0.3),
+        ((0.9, 0.35, 0.32), (0.6, 0.3), 0.32 / 0.3),
+    ],
+)
+def test_a_hole_stops_what_no_turn_lets_through(
+    size: tuple[float, ...], openings: tuple[float, ...], ratio: float
+) -> None:
+    assert over_hole(size, openings) == pytest.approx(ratio)
+    larger = tuple(1.04 * ratio * side for side in openings)
+    smaller = tuple(0.96 * ratio * side for side in openings)
+    assert is_oversize(size, larger, False, 0.03) is False
+    assert is_oversize(size, smaller, False, 0.03) is True
+    assert is_oversize(size, larger, True, 0.03) is None
+    assert is_oversize(size, None, False, 0.03) is None
+
+
+@given(st.floats(0.05, 1), st.floats(0.05, 1), st.floats(0.1, 1), st.floats(0.1, 1))
+@settings(deadline=None)
+def test_an_ellipse_passes_a_rectangle_at_some_turn_or_not(
+    one: float, other: float, a: float, b: float
+) -> None:
+    """The equation against all turns of the ellipse, one by one."""
+    middle, shortest = max(one, other), min(one, other)
+    turns = np.linspace(0, np.pi / 2, 2001)
+    wide = np.hypot(middle * np.cos(turns), shortest * np.sin(turns))
+    high = np.hypot(middle * np.sin(turns), shortest * np.cos(turns))
+    fits = np.maximum(wide / max(a, b), high / min(a, b)).min()
+    ratio = over_hole((1.0, middle, shortest), (a, b))
+    if abs(fits - 1) > 0.01:
+        assert (ratio > 1) == (fits > 1)

@@ -11,6 +11,7 @@ import yaml
 
 import stereo_ore as so
 from stereo_ore.chain import Chain
+from stereo_ore.draw.overlay import draw_overlay
 from stereo_ore.io import calibration
 from stereo_ore.io.site import load_site
 from stereo_ore.plant.sinks.message import Origin, message
@@ -110,3 +111,16 @@ def test_the_demo_without_a_site_gives_ores_and_names_all_keys(tmp_path: Path) -
     for key in ("arm_from_camera", "working_volume", "grizzly.plane or background"):
         assert key in closing
         assert key in done.stderr
+
+
+def test_what_would_be_a_target_is_hatched(tmp_path: Path) -> None:
+    detector = so.Detector.load(SCENE / "calibration.yaml", lacking({"arm_from_camera"}, tmp_path))
+    (pair,) = so.open_recording(SCENE)
+    frame = detector.chain(pair)
+    assert frame.withheld == ("NO_ARM_FRAME",)
+    assert frame.ore_map is not None
+    hatched, plain = draw_overlay(frame), draw_overlay(replace(frame, withheld=()))
+    changed = (hatched != plain).any(-1)
+    for ore in frame.ores:
+        wanted = ore.oversize is not False and ore.strike is not None
+        assert changed[frame.ore_map.labels == ore.id].any() == wanted

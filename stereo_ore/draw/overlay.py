@@ -5,7 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from stereo_ore.types import F64, I32, U8, ForeignBody, FrameResult, Ore, Rig
+from stereo_ore.stages.order import PASSES_HOLE
+from stereo_ore.types import F64, I32, U8, ForeignBody, FrameResult, Mask, Ore, Rig
 
 _VERMILION, AMBER, _SKY, WHITE, BLACK, CYAN = (
     (0, 94, 235),
@@ -31,9 +32,9 @@ def draw_overlay(result: FrameResult) -> U8 | None:
     """Outlines, centres of gravity (+), strikes (arrow) and labels of all lumps.
 
     An oversize lump has a thick vermilion outline, one of unknown size a dashed yellow one, one
-    that passes a thin blue one. A label has the rank of a target (1 is first) before the id and
-    size; labels lie on free ground, with a line to their lump where that is not beside it. None for
-    a frame without an image.
+    that passes a thin blue one; what would be a target, were targets not withheld, is hatched. A
+    label has the rank of a target (1 is first) before the id and size; labels lie on free ground,
+    with a line to their lump where that is not beside it. None for a frame without an image.
     """
     if result.pair is None:
         return None
@@ -41,6 +42,7 @@ def draw_overlay(result: FrameResult) -> U8 | None:
     scale = image.shape[1] / 1280
     for body in result.foreign:
         _draw_foreign(image, body, scale)
+    _hatch_withheld(image, result, scale)
     for ore in result.ores:
         _draw_outline(image, result, ore, scale)
     for ore in result.ores:
@@ -77,12 +79,29 @@ def _draw_foreign(image: U8, body: ForeignBody, scale: float) -> None:
     """Hatch a body that is no ore, and name it."""
     height, width = image.shape[:2]
     inside = cv2.fillPoly(np.zeros((height, width), np.uint8), [body.outline_px], 1) > 0
-    v, u = np.indices((height, width))
-    period = max(6, round(12 * scale))
-    image[inside & ((u + v) % period < period / 4)] = MAGENTA
+    _hatch(image, inside, MAGENTA, scale, 1)
     cv2.polylines(image, [body.outline_px], True, MAGENTA, max(1, round(2 * scale)), cv2.LINE_AA)
     u0, v0 = body.outline_px.min(0)
     draw_text(image, f"no ore: {body.name}", (int(u0), int(v0) - round(4 * scale)), scale)
+
+
+def _hatch(image: U8, inside: Mask, colour: tuple[int, int, int], scale: float, lean: int) -> None:
+    """Lines that fall to the left (1) or to the right (-1) over a part of the image."""
+    v, u = np.indices(inside.shape)
+    period = max(6, round(12 * scale))
+    image[inside & ((u + lean * v) % period < period / 4)] = colour
+
+
+def _hatch_withheld(image: U8, result: FrameResult, scale: float) -> None:
+    """Hatch what would be a target, were targets not withheld: the banner says for what reason."""
+    if not result.withheld or result.ore_map is None:
+        return
+    able = [
+        ore.id
+        for ore in result.ores
+        if ore.plan.strikes and all(reason.code != PASSES_HOLE.code for reason in ore.reasons)
+    ]
+    _hatch(image, np.isin(result.ore_map.labels, able), WHITE, scale, -1)
 
 
 def _draw_marks(image: U8, rig: Rig, ore: Ore, first: bool, scale: float) -> None:

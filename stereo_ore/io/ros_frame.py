@@ -130,7 +130,10 @@ class RosFrame:
             center=pose, size=self.vector(ore["box"]["extent_m"])
         )
         return self.types["vision_msgs/msg/Detection3D"](
-            header=self.header(self.camera_frame), results=[result], bbox=bounds, id=str(ore["id"])
+            header=self.header(self.camera_frame),
+            results=[result],
+            bbox=bounds,
+            id=_lasting_id(ore),
         )
 
     def targets(self, record: JsonMapping, base: Base, ids: Sequence[int]) -> Any:
@@ -176,6 +179,14 @@ class RosFrame:
         """Quaternion of a rotation (3, 3)."""
         x, y, z, w = quaternion(axes)
         return self.types["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w)
+
+
+def _lasting_id(ore: JsonMapping) -> str:
+    """What is the same in each frame that shows the lump, as vision_msgs wants it: its track; of a
+    lump that is not followed its id.
+    """
+    track = ore.get("track")
+    return str(track["number"] if track else ore["id"])
 
 
 def quaternion(rotation: F64) -> tuple[float, float, float, float]:

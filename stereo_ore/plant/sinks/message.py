@@ -38,9 +38,11 @@ class Alternate:
 class Target:
     """One lump to strike, best first: arm frame, metres.
 
-    `direction` is the unit vector the tool moves along; `size_m` longest, middle and shortest
-    dimension; `sigma_m` the standard deviations of the centre of gravity `centre_m` along the axes
-    of the camera; `alternates` other strikes of the same lump, best first.
+    `rank` is its place in the order, 1 first; `track` the lump's number in the run, the same in
+    each frame that shows it, where that is known. `direction` is the unit vector the tool moves
+    along; `size_m` longest, middle and shortest dimension; `sigma_m` the standard
+    deviations of the centre of gravity `centre_m` along the axes of the camera; `alternates` other
+    strikes of the same lump, best first.
     """
 
     id: int
@@ -54,6 +56,8 @@ class Target:
     centre_m: _Vector | None = None
     volume_bounds_m3: tuple[float, float] | None = None
     alternates: tuple[Alternate, ...] = ()
+    rank: int = 1
+    track: int | None = None
 
 
 @dataclass(frozen=True)
@@ -72,7 +76,8 @@ class Origin:
 
 @dataclass(frozen=True)
 class Message:
-    """The targets of one frame, or that there are none; `deadline` is on this process's monotonic
+    """The targets of one frame, or that there are none, and names of foreign bodies in view;
+    `deadline` is on this process's monotonic
     clock [s], `age_s` how old the frame was when it was published.
     """
 
@@ -89,6 +94,7 @@ class Message:
     deadline: float = 0.0
     stamp_source: str | None = None
     age_s: float | None = None
+    foreign: tuple[str, ...] = ()
 
     @property
     def valid(self) -> bool:
@@ -202,6 +208,7 @@ def message(
         targets=targets,
         deadline=time.monotonic() + remaining_s,
         age_s=round(age_s, 3),
+        foreign=tuple(body["name"] for body in record.get("foreign", ())),
     )
     return whole.current()
 
@@ -213,12 +220,12 @@ def _targets(record: JsonMapping) -> tuple[tuple[Target, ...], tuple[str, ...]]:
     if record["arm_frame"] is None:
         return (), ("NO_ARM_FRAME",)
     ores = {ore["id"]: ore for ore in record["ores"]}
-    found = tuple(_target(ores[id]) for id in record["targets"])
+    found = tuple(_target(ores[id], rank) for rank, id in enumerate(record["targets"], 1))
     usable = tuple(target for target in found if target)
     return usable, () if len(usable) == len(found) else ("TARGET_INCOMPLETE",)
 
 
-def _target(ore: JsonMapping) -> Target | None:
+def _target(ore: JsonMapping, rank: int) -> Target | None:
     """None for an ore whose strike is not fully known: half a target is none."""
     if ore["strike"] is None or (best := _place(ore["strike"])) is None:
         return None
@@ -236,6 +243,8 @@ def _target(ore: JsonMapping) -> Target | None:
         _whole(centre.get("arm")),
         _whole(ore.get("volume_bounds_m3")),
         tuple(other for other in others if other),
+        rank,
+        ore["track"]["number"] if ore.get("track") else None,
     )
 
 

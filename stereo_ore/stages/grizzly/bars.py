@@ -133,10 +133,12 @@ def fit_bars(sample: Sample, plane: Plane, site: Site, sharp: bool = False) -> B
     if main is None:
         return BarFit(None, 0.0)
     between = main.off_centre(q) > _BETWEEN * main.width
+    across = main.angle + np.pi / 2
+    # Of few bars the frame behind the last would be taken for another one.
+    between &= _where_open(np.asarray(q @ np.array([-np.sin(across), np.cos(across)])), signal)
     cross = None
     if between.sum() >= PHASES and signal[between].min() < 0 < signal[between].max():
-        known = site.cross_opening_m
-        cross = _fitted(q[between], signal[between], main.angle + np.pi / 2, known, width)
+        cross = _fitted(q[between], signal[between], across, site.cross_opening_m, width)
     if cross is None or not _is_grid(main, cross, site):
         return BarFit(main.bars(axes), main.contrast, main.seen)
     solid = (main.off_centre(q) < main.width / 2) | (cross.off_centre(q) < cross.width / 2)
@@ -195,6 +197,12 @@ def rays_in_plane(
     x /= np.linalg.norm(x)
     axes = np.stack([x, np.cross(plane.normal, x)])
     return hit @ axes.T, signal, axes
+
+
+def _where_open(position: F64, signal: F64) -> Mask:
+    """Which coordinates (N,) lie between the ends of what one sees through."""
+    low, high = np.percentile(position[signal < 0], (0.5, 99.5))
+    return np.asarray((position > low) & (position < high))
 
 
 def _around_open(q: F64, signal: F64) -> tuple[F64, F64]:

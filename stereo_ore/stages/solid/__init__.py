@@ -151,12 +151,12 @@ def over_hole(size_m: Sequence[float] | F64, openings_m: tuple[float, ...]) -> f
 
     A slot of width a stops a lump by its middle dimension b: b/a, for lumps lie on their flat side.
     A rectangle a ≤ b lets a lump through that stands up, as an ellipse of its middle and shortest
-    dimension M and S at any turn: S ≤ a, and M ≤ b or M² + S² ≤ a² + b². Of a square that is the
-    sieve's law (M² + S²)/2 ≤ a² (Church, McLean and Wolcott 1987).
+    dimension M and S at any turn: S ≤ a and M² + S² ≤ a² + b². Of a square that is the sieve's law
+    (M² + S²)/2 ≤ a² (Church, McLean and Wolcott 1987).
     """
     middle, shortest = float(size_m[1]), float(size_m[2])
     if len(openings_m) == 1:
         return middle / openings_m[0]
     low, high = sorted(openings_m)
     turned = float(np.hypot(middle, shortest) / np.hypot(low, high))
-    return max(shortest / low, min(middle / high, turned))
+    return max(shortest / low, turned)
