@@ -167,7 +167,7 @@ def test_the_shipped_network_says_where_it_comes_from() -> None:
     stored = json.loads(
         (files("stereo_ore.stages.matching") / "confidence.json").read_text(encoding="utf-8")
     )
-    assert len(confidence.shipped().mean) == len(confidence.FEATURES)
+    assert len(confidence.shipped().mean) == len(confidence.PIXEL_FEATURES)
     assert {"made_with", "sets", "faults", "seed", "auc_on_sets_left_out"} <= set(
         stored["provenance"]
     )

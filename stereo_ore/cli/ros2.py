@@ -82,21 +82,23 @@ def topics_out(settings: SinksSettings, view: View | None) -> list[TargetSink]:
         Without ROS 2, or without the geometry of the images.
     """
     from stereo_ore.errors import OutputError
-    from stereo_ore.io.results import Results
 
     found: list[TargetSink] = []
-    if settings.ros2 is None and settings.foxglove is None:
-        return found
-    if view is None:
-        raise OutputError("the run has kept no calibration", key="ros2", remedy="Repeat the run")
     if settings.ros2 is not None:
         prefer_sourced()
         from stereo_ore.plant.ros2.install import require
-        from stereo_ore.plant.ros2.sink import Ros2Sink
 
         require()
+    if settings.ros2 is None and settings.foxglove is None:
+        return found
+    if view is None:
+        raise OutputError("the run has kept no calibration", remedy="Repeat the run")
+    if settings.ros2 is not None:
+        from stereo_ore.plant.ros2.sink import Ros2Sink
+
         found.append(Ros2Sink(settings.ros2, view))
     if settings.foxglove is not None:
+        from stereo_ore.io.results import Results
         from stereo_ore.plant.sinks.foxglove import FoxgloveSink
 
         there = settings.foxglove.host, settings.foxglove.port

@@ -134,9 +134,8 @@ function choose(place) {
   at("frame-title").textContent =
     `Frame ${frame.frame}: ${frame.status}, ${plural(frame.ores, "ore")}, ${plural(frame.targets, "target")}`;
   at("frame-stamp").textContent = stamp(frame) && `${stamp(frame)} UTC (${frame.stamp_source || "source unknown"})`;
-  at("frame-reasons").textContent =
-    frame.reasons.join(" · ") +
-    (detail ? "" : " The 3-D view and the charts are kept for the frames marked 3-D.");
+  const more = detail ? [] : ["The 3-D view and the charts are kept for the frames marked 3-D."];
+  at("frame-reasons").textContent = [...frame.reasons, ...more].join(" · ");
   showPicture(frame, place, detail);
   const table = detail || data.tables[place];
   for (const id of ["detail", "cloud", "cloud-caption"]) at(id).hidden = !detail;

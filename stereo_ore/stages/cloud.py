@@ -97,7 +97,9 @@ def _contained(depth: F32, x: F32, y: F32, volume: Volume) -> Mask:
     for row, low, high in zip(volume.T_box_camera, volume.min_m, volume.max_m, strict=False):
         across, down = (row[0] * x).astype(np.float32), (row[1] * y + row[2]).astype(np.float32)
         coordinate = across[None, :] + down[:, None]
-        coordinate *= depth
+        # A disparity of zero is infinitely far, on an axis of the volume nowhere: not inside.
+        with np.errstate(invalid="ignore"):
+            coordinate *= depth
         inside &= cv2.inRange(coordinate, float(low - row[3]), float(high - row[3])) > 0
     return inside
 

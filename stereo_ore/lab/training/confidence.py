@@ -18,7 +18,7 @@ from stereo_ore.lab.training.networks import fit_network
 from stereo_ore.network import Network
 from stereo_ore.stages import matching
 from stereo_ore.stages.matching import confidence, consistency, light, sgbm
-from stereo_ore.stages.matching.confidence import FEATURES, RIGHT_PX
+from stereo_ore.stages.matching.confidence import PIXEL_FEATURES, RIGHT_PX
 from stereo_ore.stages.matching.match import evidence, grey
 from stereo_ore.types import F32, U8, Mask, RectifiedPair
 
@@ -171,6 +171,6 @@ def to_json(
         },
     }
     text = json.dumps(
-        {"provenance": made, "features": FEATURES, "network": asdict(network)}, indent=1
+        {"provenance": made, "features": PIXEL_FEATURES, "network": asdict(network)}, indent=1
     )
     return text.replace(",\n    ", ", ").replace("[\n    ", "[").replace("\n   ]", "]") + "\n"

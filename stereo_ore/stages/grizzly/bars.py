@@ -33,7 +33,7 @@ MIN_DUTY, MAX_DUTY = 0.08, 0.6
 _BETWEEN = 0.8
 """Distance from a bar's middle, in widths, from which on it is looked for bars across: nearer,
 depth is smeared."""
-CROSS_CONTRAST, MOST_OBLONG = 0.08, 2.0
+CROSS_CONTRAST, MOST_OBLONG = 0.12, 2.0
 """Contrast of bars across that nobody has described, which the image must confirm, and the largest
 ratio of both pitches."""
 

@@ -34,7 +34,7 @@ _STEP_PX, MAX_STEP_PX = 9, 16.0
 """Window over which steps of disparity are averaged, and how much one counts at most."""
 
 _CONTEXT = (*(f"agreed_{side}" for side in _NEAR_PX), "inside_px")
-FEATURES = (
+PIXEL_FEATURES = (
     "lr_diff_px", *_CONTEXT, "texture", "residual", "median_diff_px", "spread_px", "valid_share",
     "step_px",
 )  # fmt: skip
@@ -66,8 +66,10 @@ def _inside(valid: Mask) -> F32:
     return np.asarray(np.log1p(np.minimum(away, np.float32(_INNER_PX))), np.float32)
 
 
-def features(cues: Mapping[str, F32], around: list[F32], residual: F32, filled: F32) -> list[F32]:
-    """`FEATURES` of some rows, (h, w) each.
+def pixel_features(
+    cues: Mapping[str, F32], around: list[F32], residual: F32, filled: F32
+) -> list[F32]:
+    """`PIXEL_FEATURES` of some rows, (h, w) each.
 
     Parameters
     ----------
@@ -88,12 +90,12 @@ def features(cues: Mapping[str, F32], around: list[F32], residual: F32, filled: 
         "residual": np.log1p(residual),
         "step_px": windows.total(step, _STEP_PX) * np.float32(1 / _STEP_PX**2),
     }
-    return [found[name] for name in FEATURES]
+    return [found[name] for name in PIXEL_FEATURES]
 
 
 def probability_right(seen: list[F32], network: Network | None = None) -> F32:
-    """Probability of being within `RIGHT_PX` of the truth, (h, w) float32, from `features`; the
-    shipped network.
+    """Probability of being within `RIGHT_PX` of the truth, (h, w) float32, from `pixel_features`;
+    of the shipped network if no other is given.
     """
     return (network or shipped()).map(seen)
 
@@ -104,6 +106,6 @@ def shipped() -> Network:
     stored = json.loads(
         (files("stereo_ore.stages.matching") / "confidence.json").read_text(encoding="utf-8")
     )
-    if tuple(stored["features"]) != FEATURES:
+    if tuple(stored["features"]) != PIXEL_FEATURES:
         raise ValueError("confidence.json was trained on other features; train it again")
     return Network(**stored["network"])

@@ -113,7 +113,7 @@ def evidence(
     filled = sgbm.to_px(matched)
     refined = subpixel.refine_disparity(images, filled, around)
     seen = cues.pixel_cues(found, matched, around, refined.residual)
-    return refined.values, seen, confidence.features(seen, context, refined.residual, filled)
+    return refined.values, seen, confidence.pixel_features(seen, context, refined.residual, filled)
 
 
 def grey(image: U8) -> U8:
