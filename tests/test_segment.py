@@ -14,8 +14,7 @@ from stereo_ore.errors import ConfigError
 from stereo_ore.lab import synth
 from stereo_ore.stages import grizzly, segment
 from stereo_ore.stages.segment import channels, model, outputs, votes, whole
-from stereo_ore.stages.segment.lay import laid
-from stereo_ore.stages.segment.outline import sharpened_picture
+from stereo_ore.stages.segment.outline import drawn
 from stereo_ore.types import Disparity, Grizzly, OreMap, Region, Rig, Site, Surface, Volume
 
 CONFIG = SegmentConfig()
@@ -302,22 +301,26 @@ def test_outputs_are_rounded_before_anything_is_decided():
         np.testing.assert_array_equal(one, two)
 
 
-def test_labels_are_laid_at_their_place_and_size():
+def test_labels_are_drawn_at_their_place_and_size():
     small = np.zeros((30, 40), np.int32)
-    small[10:20, 10:20], small[10:20, 20:25] = 1, 2
-    large = laid(small, (80, 60))
+    small[5:20, 10:20], small[5:20, 20:30] = 1, 2
+    large = drawn(small, np.full((60, 80, 3), 90, np.uint8), 2)
     expected = cv2.resize(small.astype(np.float32), (80, 60), interpolation=cv2.INTER_NEAREST)
-    assert (large != expected).mean() < 0.01
+    # Without an edge in the picture only corners are rounded.
+    assert (large != expected).mean() < 0.06
+    assert (large[20:30] == expected[20:30]).all()
+    assert drawn(np.zeros_like(small), np.zeros((60, 80, 3), np.uint8), 2).max() == 0
 
 
-def test_outlines_move_to_edges_within_the_band_only():
-    grey = np.full((80, 80), 60, np.uint8)
-    grey[20:60, 20:60] = 180
-    for off, expected, error in ((3, 20, 1), (-3, 20, 1), (9, 11, 4)):
-        labels = np.zeros(grey.shape, np.int32)
-        labels[20 - off : 60 - off, 20 - off : 60 - off] = 1
-        top = int(np.flatnonzero(sharpened_picture(labels, np.dstack([grey] * 3), 4).any(1))[0])
-        assert abs(top - expected) <= error
+def test_outlines_move_to_edges_near_by_only():
+    colour = np.full((80, 80, 3), (60, 90, 120), np.uint8)
+    colour[20:60, 20:60] = (90, 90, 90)
+    for off, expected, error in ((1, 20, 1), (-1, 20, 1), (6, 8, 4)):
+        small = np.zeros((40, 40), np.int32)
+        small[10 - off : 30 + off, 10 - off : 30 + off] = 1
+        rows = np.flatnonzero(drawn(small, colour, 2)[:, 40])
+        assert abs(rows[0] - expected) <= error
+        assert abs(79 - rows[-1] - expected) <= error
 
 
 def test_features_tell_a_whole_lump_from_a_part_of_one():

@@ -159,6 +159,35 @@ def test_the_course_goes_from_examples_to_a_model_folder(tmp_path: Path) -> None
     assert course.train_ore(made) == folder
 
 
+def test_a_training_goes_on_from_the_model_that_it_is_given(tmp_path: Path) -> None:
+    for package in ("torch", "onnxscript", "mujoco"):
+        pytest.importorskip(package)
+    import torch
+
+    from stereo_ore.lab.training.ore import net
+
+    shipped, rng = segment.load_lump_model(), np.random.default_rng(0)
+    made = [crops.training_crop(crops.Seen(example(seed)), rng) for seed in range(24)]
+    x, t = (torch.from_numpy(np.stack(column)) for column in zip(*made, strict=True))
+    network = net.restored(shipped.onnx, x.split(12))
+    with torch.no_grad():
+        # Batch norms measured on other crops than they normalise, as in training.
+        losses = [float(net.loss_of(network.train(mode)(x), t)) for mode in (True, False)]
+        nothing = float(net.loss_of(net.LumpNet()(x), t))
+    assert losses[0] < nothing / 3
+    again = net.restored(shipped.onnx, x.split(12)).eval()
+    given = x[0].numpy()
+    np.testing.assert_allclose(net.outputs_of(again, given), shipped(given), atol=1e-3)
+    course_ = course.Course(tmp_path, range(95, 96), (), 0.005, shipped)
+    course_.cache.mkdir()
+    examples.save_example(example(), course_.cache / "seed-95-0.npz")
+    (course_.cache / "seed-95.done").touch()
+    card = segment.load_lump_model(str(course.train_ore(course_))).card
+    assert card.about["made by"]["started from"] == shipped.card.sha256
+    # Nothing was left out to fit another.
+    assert card.whole == shipped.whole
+
+
 def test_without_the_extra_the_package_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -65,6 +65,10 @@ def tune(
     minutes: Annotated[
         float, typer.Option(min=0.01, help="ore: how long the network is trained.")
     ] = 60.0,
+    start: Annotated[
+        str | None,
+        typer.Option(help="ore: go on from this model, a folder or 'shipped', not from nothing."),
+    ] = None,
 ) -> None:
     """Find the parameters with the least cost, the weighted mean of 1 − P_r, 1 − Recall and 1 −
     Retain.
@@ -75,7 +79,8 @@ def tune(
     tuned/config.yaml`
     """
     if train:
-        _train(out, train, _Material(seeds, tuple(scene or ()), tuple(scan or ()), sets, minutes))
+        material = _Material(seeds, tuple(scene or ()), tuple(scan or ()), sets, minutes, start)
+        _train(out, train, material)
     else:
         _search(out, method, cloud or [], seeds, cost)
 
@@ -113,7 +118,7 @@ def _search(out: Path, method: str, files: list[Path], seeds: int, cost: Path | 
 @dataclass(frozen=True)
 class _Material:
     """What there is to learn from: seeds of made things, scene folders, clean scans, a folder of
-    real pairs; and for how long.
+    real pairs; for how long, and from which model on.
     """
 
     seeds: int
@@ -121,6 +126,7 @@ class _Material:
     scans: tuple[Path, ...] = ()
     sets: Path | None = None
     minutes: float = 60.0
+    start: str | None = None
 
 
 def _train(out: Path, kind: str, material: _Material) -> None:
@@ -179,8 +185,10 @@ def _train_stereo(seeds: range, material: _Material) -> str:
 def _train_ore(seeds: range, material: _Material, out: Path) -> Path:
     """Folder of the network of lumps; its quality on screens left out is logged and in its card."""
     from stereo_ore.lab.training.ore import course
+    from stereo_ore.stages.segment import load_lump_model
 
-    return course.train_ore(course.Course(out, seeds, material.scenes, material.minutes))
+    start = load_lump_model(material.start) if material.start else None
+    return course.train_ore(course.Course(out, seeds, material.scenes, material.minutes, start))
 
 
 def _train_solids(seeds: range, material: _Material) -> str:

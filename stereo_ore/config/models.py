@@ -232,14 +232,14 @@ class SegmentConfig(StageConfig):
         600, "a lump of fewer visible pixels may be a clump of wrong matches", "px", ge=0
     )
     doubtful_probability: float = param(
-        0.5, "small ones, and cut ones, are dropped if less likely", ge=0, lt=1
+        0.6, "small ones, and cut ones, are dropped if less likely", ge=0, lt=1
     )
     least_measured: float = param(
         0.3, "share of a lump's pixels that the filter kept in the working volume", ge=0, lt=1
     )
     band: float = param(
         0.06,
-        "band on either side of an outline within which the image may move it, in openings",
+        "how far around an outline the image is looked at for its edge, in openings",
         gt=0,
     )
     default_opening_m: float = param(

@@ -7,14 +7,12 @@ import numpy as np
 from stereo_ore.config import SegmentConfig
 from stereo_ore.stages.segment import channels, outputs, votes, whole
 from stereo_ore.stages.segment.frame import inside_screen
-from stereo_ore.stages.segment.lay import laid
 from stereo_ore.stages.segment.model import LumpModel, load_lump_model
-from stereo_ore.stages.segment.outline import RIM, filled, renumbered, sharpened_picture
+from stereo_ore.stages.segment.outline import drawn, filled, renumbered
 from stereo_ore.types import (
     F64,
     I16,
     I32,
-    U8,
     Disparity,
     Grizzly,
     Mask,
@@ -79,8 +77,8 @@ def segment(
         region.y0 - surface.y0 : region.y1 - surface.y0,
         region.x0 - surface.x0 : region.x1 - surface.x0,
     ]
-    labels[box] = laid(small, (region.x1 - region.x0, region.y1 - region.y0))
-    labels = _drawn(labels, surface.bgr, max(1, round(config.band * opening_px)))
+    reach = max(1, round(config.band * channels.UNIT))
+    labels[box] = filled(drawn(small, surface.bgr[box], reach))
     if volume is None:
         labels = _on_the_screen(labels, inside_screen(surface, screen, opening))
     counts["parts"] = int(small.max(initial=0))
@@ -114,20 +112,6 @@ def _named(seen: channels.Channels, config: SegmentConfig, model: LumpModel) -> 
     found = whole.features(numbered, said, seen.x)
     likely = model.whole.probability(found) if model.whole else np.ones(len(found))
     return numbered, np.concatenate([[0.0], likely])
-
-
-def _drawn(labels: I32, bgr: U8, band: int) -> I32:
-    """Labels with outlines on edges of the image, holes filled."""
-    rows, columns = (np.flatnonzero((labels > 0).any(axis)) for axis in (1, 0))
-    if not len(rows):
-        return labels
-    margin, out = band + RIM, np.zeros_like(labels)
-    box = np.s_[
-        max(rows[0] - margin, 0) : rows[-1] + margin + 1,
-        max(columns[0] - margin, 0) : columns[-1] + margin + 1,
-    ]
-    out[box] = filled(sharpened_picture(labels[box], bgr[box], band))
-    return out
 
 
 def _on_the_screen(labels: I32, inside: np.ndarray) -> I32:

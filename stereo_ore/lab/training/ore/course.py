@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from stereo_ore.errors import ConfigError
 from stereo_ore.lab.training.ore import examples, judge
 from stereo_ore.lab.training.ore.crops import Seen
 from stereo_ore.stages.segment import model as models
-from stereo_ore.stages.segment.whole import Whole
+from stereo_ore.stages.segment.whole import FEATURES, Whole
 from stereo_ore.version import __version__
 
 _log = logging.getLogger(__name__)
@@ -30,12 +30,15 @@ SHARES = (0.4, 0.6)
 
 @dataclass(frozen=True)
 class Course:
-    """What to train on: seeds of drawn screens, scene folders with truth; and for how long."""
+    """What to train on: seeds of drawn screens, scene folders with truth; for how long; and the
+    model to go on from, if any.
+    """
 
     out: Path
     seeds: range
     folders: tuple[Path, ...]
     minutes: float
+    start: models.LumpModel | None = None
 
     @property
     def cache(self) -> Path:
@@ -93,11 +96,12 @@ def train_ore(course: Course) -> Path:
     shares = [share for share, group in zip(SHARES, groups, strict=True) if group]
     present = [group for group in groups if group]
     checkpoint = course.out / "checkpoint.pt"
-    network = fit.train(lambda: present, shares, course.minutes, checkpoint, say=_log.info)
+    start = course.start.onnx if course.start else None
+    network = fit.train(lambda: present, shares, course.minutes, checkpoint, start, say=_log.info)
     held = _views(course, [s for s in course.seeds if not s % _HELD])
     onnx = course.out / "model.onnx.part"
     net.export(network, onnx)
-    about = {"made by": _origin(course), **_judged(network, held)}
+    about = {"made by": _origin(course), **_known(course), **_judged(network, held)}
     models.write(course.out / "model", onnx.read_bytes(), about)
     onnx.unlink()
     return course.out / "model"
@@ -120,6 +124,12 @@ def _judged(network: Any, held: Sequence[Path]) -> dict[str, Any]:
     return {"whole": entry, "quality on drawn screens left out": quality}
 
 
+def _known(course: Course) -> dict[str, Any]:
+    """The model of whole lumps to go on from, for when too little is left out to fit one."""
+    whole = course.start.whole if course.start else None
+    return {"whole": {"features": FEATURES, **asdict(whole)}} if whole else {}
+
+
 def _origin(course: Course) -> dict[str, Any]:
     return {
         "version": __version__,
@@ -127,6 +137,7 @@ def _origin(course: Course) -> dict[str, Any]:
         "seeds held out": f"every {_HELD}th",
         "scenes": sorted(folder.name for folder in course.folders),
         "minutes": course.minutes,
+        "started from": course.start.card.sha256 if course.start else None,
     }
 
 

@@ -87,8 +87,8 @@ def _piece(seen: Seen, rng: np.random.Generator) -> tuple[F32, F32, float]:
     frame = [(ya - y0, y0 + k - yb), (xa - x0, x0 + k - xb)]
 
     def near(image: U8) -> U8:
-        laid = np.pad(image[ya:yb, xa:xb], frame)
-        return np.asarray(cv2.resize(laid, (SIDE, SIDE), interpolation=cv2.INTER_NEAREST), np.uint8)
+        laid, exact = np.pad(image[ya:yb, xa:xb], frame), cv2.INTER_NEAREST_EXACT
+        return np.asarray(cv2.resize(laid, (SIDE, SIDE), interpolation=exact), np.uint8)
 
     piece = seen.example.x[:, ya:yb, xa:xb].transpose(1, 2, 0).astype(np.float32)
     x = np.asarray(cv2.resize(np.pad(piece, [*frame, (0, 0)]), (SIDE, SIDE)), np.float32)

@@ -65,7 +65,7 @@ def example_of(
     ore = (instance >= FIRST_LUMP) & (instance != TOOL)
     lump = np.where(ore, instance - FIRST_LUMP + 1, 0)[region.slices]
     size = x.shape[2], x.shape[1]
-    small = cv2.resize(lump.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
+    small = cv2.resize(lump.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST_EXACT)
     return Example(x.astype(np.float16), np.asarray(small, np.uint8))
 
 

@@ -13,12 +13,15 @@ import numpy as np
 import torch
 
 from stereo_ore.lab.training.ore.crops import Seen, training_crop
-from stereo_ore.lab.training.ore.net import LumpNet, loss_of
+from stereo_ore.lab.training.ore.net import LumpNet, loss_of, restored
 
 BATCH = 12
-RATE, DECAY, CLIP, WARM_UP = 3e-3, 1e-4, 2.0, 50
-"""Highest learning rate, weight decay, largest gradient, steps until the highest rate."""
-KEEP = 0.995
+RATE, RATE_ON, DECAY, CLIP, WARM_UP = 3e-3, 1.2e-3, 1e-4, 2.0, 50
+"""Highest learning rate from nothing and from a model, weight decay, largest gradient, steps until
+the highest rate."""
+_FIRST = 25
+"""Batches that the statistics of a model to go on from are measured on."""
+KEEP = 0.998
 """Share of the averaged weights that a step leaves."""
 SAVE_S = 120.0
 """Seconds between checkpoints."""
@@ -31,6 +34,7 @@ class _Course:
     net: LumpNet
     optimiser: Any
     average: dict[str, Any]
+    highest: float
     step: int = 0
     seconds: float = 0.0
 
@@ -38,7 +42,25 @@ class _Course:
         """Learning rate now."""
         done = min(self.seconds / (60 * minutes), 1.0)
         cosine = 0.5 + 0.5 * float(np.cos(np.pi * done))
-        return RATE * min(1, (self.step + 1) / WARM_UP) * cosine + 1e-5
+        return self.highest * min(1, (self.step + 1) / WARM_UP) * cosine + 1e-5
+
+
+class _Drawn:
+    """Examples drawn at random: groups by their shares, in them crowded screens more often."""
+
+    def __init__(self, groups: Sequence[Sequence[Seen]], shares: Sequence[float]) -> None:
+        self._all = [seen for group in groups for seen in group]
+        each = []
+        for group, share in zip(groups, shares, strict=True):
+            crowded = np.sqrt([1.0 + len(seen.aims[1]) for seen in group])
+            each.append(share * crowded / crowded.sum())
+        self._share = np.concatenate(each) / sum(shares)
+
+    def __call__(self, rng: np.random.Generator) -> Seen:
+        return self._all[int(rng.choice(len(self._all), p=self._share))]
+
+    def __len__(self) -> int:
+        return len(self._all)
 
 
 def train(
@@ -46,6 +68,7 @@ def train(
     shares: Sequence[float],
     minutes: float,
     checkpoint: Path,
+    start: bytes | None = None,
     seed: int = 0,
     say: Callable[[str], None] = print,
 ) -> LumpNet:
@@ -61,6 +84,8 @@ def train(
         Duration; the learning rate falls to nothing by then.
     checkpoint : Path
         Where the state is kept.
+    start : bytes, optional
+        ONNX file of the network to go on from, at a lower rate; else it begins from nothing.
     seed : int
         Of weights and crops.
     say : callable
@@ -68,46 +93,44 @@ def train(
     """
     torch.manual_seed(seed)
     torch.set_num_threads(1)
-    course = _begin(checkpoint)
-    rng = np.random.default_rng([seed, course.step])
-    examples = groups()
+    rng, examples = np.random.default_rng(seed), _Drawn(groups(), shares)
 
     def batch() -> tuple[Any, Any]:
-        chosen = rng.choice(len(shares), BATCH, p=np.array(shares) / sum(shares))
-        made = [
-            training_crop(examples[g][int(rng.integers(len(examples[g])))], rng)
-            for g in map(int, chosen)
-        ]
+        made = [training_crop(examples(rng), rng) for _ in range(BATCH)]
         x, t = (torch.from_numpy(np.stack(column)) for column in zip(*made, strict=True))
         return x.contiguous(memory_format=torch.channels_last), t
 
+    new = restored(start, (batch()[0] for _ in range(_FIRST))) if start else LumpNet()
+    course = _begin(new, RATE_ON if start else RATE, checkpoint)
+    rng = np.random.default_rng([seed, course.step])
     with ThreadPoolExecutor(1) as pool:
         following, saved = pool.submit(batch), time.monotonic()
         total: list[float] = []
         while course.seconds < 60 * minutes:
-            start = time.monotonic()
+            begun = time.monotonic()
             x, t = following.result()
-            if start - saved > SAVE_S:
+            if begun - saved > SAVE_S:
                 _save(course, checkpoint)
-                examples, saved = groups(), time.monotonic()
+                examples, saved = _Drawn(groups(), shares), time.monotonic()
                 say(
                     f"{course.seconds:.0f} s, {course.step} steps, loss {np.mean(total):.4f}, "
-                    f"{sum(map(len, examples))} examples"
+                    f"{len(examples)} examples"
                 )
                 total = []
             following = pool.submit(batch)
             total.append(_step(course, x, t, course.rate(minutes)))
-            course.seconds += time.monotonic() - start
+            course.seconds += time.monotonic() - begun
     _save(course, checkpoint)
     course.net.load_state_dict(course.average)
     course.net.eval()
     return course.net
 
 
-def _begin(checkpoint: Path) -> _Course:
-    net = LumpNet().to(memory_format=torch.channels_last)
-    optimiser = torch.optim.AdamW(net.parameters(), RATE, weight_decay=DECAY)
-    course = _Course(net, optimiser, {})
+def _begin(net: LumpNet, highest: float, checkpoint: Path) -> _Course:
+    """A training from the network on, or from where the checkpoint is."""
+    net = net.to(memory_format=torch.channels_last)
+    optimiser = torch.optim.AdamW(net.parameters(), highest, weight_decay=DECAY)
+    course = _Course(net, optimiser, {}, highest)
     if checkpoint.exists():
         state = torch.load(checkpoint)
         net.load_state_dict(state["net"])

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterable
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -20,8 +22,10 @@ WIDTHS = (32, 64, 96, 96)
 """Features at strides 2, 4, 8 and 16."""
 EVEN_AREA, SMALL_AREA = 660.0, 36.0
 """A lump of so many pixels weighs 1 a pixel; what one sees of very small ones is doubtful."""
-LINE, OFFSET, _SIZE = 5.0, 2.0, 0.3
-"""What the losses of contact line, offset and size count beside that of ore."""
+_ORE, _LINE, _OFFSET, _SIZE = 4.0, 5.0, 2.0, 0.3
+"""What the losses of ore, contact line, offset and size count."""
+_NEAR = 4
+"""How far around a lump [px] the ground weighs as much as the lump."""
 _BESIDE = 0.2
 """What the contact line's loss counts where there is no ore."""
 
@@ -76,7 +80,7 @@ def loss_of(y: Any, t: Any) -> Any:
     ore, line, offset, size, area, inside = t[:, 0], t[:, 1], t[:, 2:4], t[:, 4], t[:, 5], t[:, 6]
     certain = inside * torch.where((area < SMALL_AREA) & (ore > 0), 0.2, 1.0)
     even = torch.where(ore > 0, EVEN_AREA / area.clamp(min=1), torch.zeros_like(area))
-    weight = torch.where(ore > 0, even.clamp(0.25, 3), torch.ones_like(area)) * certain
+    weight = _beyond(even.clamp(0.25, 3) * ore) * certain
     each = even.clamp(0.05, 8) * certain
 
     def entropy(k: int, truth: Any) -> Any:
@@ -90,8 +94,64 @@ def loss_of(y: Any, t: Any) -> Any:
     sizes = functional.smooth_l1_loss(y[:, 4], size, reduction="none", beta=0.3)
     lines = (entropy(1, line) * inside * (_BESIDE + (1 - _BESIDE) * ore)).mean()
     return (
-        (entropy(0, ore) * weight).mean() + LINE * lines + OFFSET * over(away) + _SIZE * over(sizes)
+        _ORE * (entropy(0, ore) * weight).mean()
+        + _LINE * lines
+        + _OFFSET * over(away)
+        + _SIZE * over(sizes)
     )
+
+
+def restored(onnx: bytes, batches: Iterable[Any]) -> LumpNet:
+    """The network of an ONNX file that `export` wrote, ready to be trained on.
+
+    The file has batch norms folded into the convolutions. Filters get the norm 1 again, and what
+    they were multiplied with and moved by goes into their batch norms, whose statistics are those
+    over `batches` of channels (n, C, h, w). So outputs stay the file's, in training too.
+    """
+    import onnx as onnx_files
+
+    graph = onnx_files.load_from_string(onnx).graph
+    stored = {t.name: torch.tensor(onnx_files.numpy_helper.to_array(t)) for t in graph.initializer}
+    net = LumpNet()
+    net.eval()
+    net.out.load_state_dict({name: stored[f"out.{name}"] for name in ("weight", "bias")})
+    norms = []
+    for name, block in net.named_modules():
+        if not isinstance(block, nn.Sequential) or not isinstance(block[0], nn.Conv2d):
+            continue
+        weight, (conv, norm, _) = stored[f"{name}.0.weight"], block
+        length = weight.flatten(1).norm(dim=1).clamp(min=1e-6)
+        conv.weight.data = weight / length[:, None, None, None]
+        norm.weight.data = length * (1 + norm.eps) ** 0.5
+        norm.bias.data = stored[f"{name}.0.weight_bias"]
+        measured = nn.BatchNorm2d(len(length), affine=False, momentum=None)
+        hook = norm.register_forward_pre_hook(partial(_measure, measured))
+        norms.append((norm, measured, length, hook))
+    with torch.no_grad():
+        for batch in batches:
+            net(batch)
+        for norm, measured, length, hook in norms:
+            hook.remove()
+            norm.load_state_dict({**norm.state_dict(), **measured.state_dict()})
+            norm.weight.copy_(length * (norm.running_var + norm.eps).sqrt())
+            norm.bias.add_(length * norm.running_mean)
+    net.train()
+    return net
+
+
+def _measure(measured: Any, _norm: Any, ins: tuple[Any]) -> None:
+    measured(*ins)
+
+
+def _beyond(weight: Any) -> Any:
+    """Weights of lumps (n, h, w), 0 elsewhere, carried on over what is near them; 1 farther off.
+
+    An outline lies where both sides lose the same: with other weights beside a lump than in it,
+    small lumps would be drawn too large and large ones too small.
+    """
+    near = functional.max_pool2d(weight, 2 * _NEAR + 1, 1, _NEAR)
+    near = torch.where(near > 0, near, torch.ones_like(near))
+    return torch.where(weight > 0, weight, near)
 
 
 def outputs_of(net: nn.Module, x: F32) -> F32:
