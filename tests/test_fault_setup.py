@@ -117,7 +117,8 @@ def edit(file: Path, change: Change) -> None:
 
 def run(scene: Path, *more: object, **options: Any) -> subprocess.CompletedProcess[str]:
     files = ["--calib", scene / "calibration.yaml", "--site", scene / "site.yaml", "--no-report"]
-    command = ["stereo-ore", "run", scene, *files, "--out", scene.parent / "out", *more]
+    every = ["--set", "order.include=all"]  # so small a picture shows none that is surely too large
+    command = ["stereo-ore", "run", scene, *files, *every, "--out", scene.parent / "out", *more]
     done = subprocess.run(
         [str(word) for word in command], capture_output=True, text=True, timeout=120, **options
     )

@@ -222,7 +222,7 @@ def line(
         "ores": [{"id": 1} | lump((0.0, 0.0, 2.0))],
         "targets": [1] if status == "ok" else [],
         "withheld": [],
-        "grizzly": None,
+        "grizzly": {"normal": [0.0, 0.0, -1.0], "openings_m": None},
         "tracks": {"started": [], "ended": []},
     }
     inputs = {

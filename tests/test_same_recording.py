@@ -183,7 +183,7 @@ def run(write: Write, frames: Frames, known: list[str], folder: Path) -> list[di
     """The records of a run of the frames in one form."""
     folder.mkdir(exist_ok=True)
     source = write(folder / "recording", frames)
-    options = ["--no-report", "--no-clouds", "--no-overlays"]
+    options = ["--no-report", "--no-clouds", "--no-overlays", "--set", "order.include=all"]
     with pytest.raises(SystemExit) as end:
         launch(["run", str(source), *known, "--out", str(folder / "out"), *options])
     assert end.value.code == 0

@@ -147,6 +147,9 @@ def test_a_recording_without_header_stamps_can_be_asked_by_day_and_time(
             path = tmp_path / "recording" / f"{eye}{number:06d}.png"
             cv2.imwrite(str(path), image)
             os.utime(path, ns=(0, stamp))
+    site = tmp_path / "scene" / "site.yaml"
+    # A narrower opening, so that some lump is surely too large for it.
+    site.write_text(site.read_text().replace("opening_m: 0.148", "opening_m: 0.11"))
     command(0, "run", tmp_path / "recording", *known, "--out", tmp_path / "out")
     command(0, "export", tmp_path / "out", tmp_path / "tables", "--format", "parquet")
     bare = make_run(tmp_path / "bare", [record(0, [ore(1)], stamp_ns=None)], stages=False)
