@@ -22,6 +22,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from threadpoolctl import threadpool_info
 
 from stereo_ore.cli import launch
 from stereo_ore.lab import synth
@@ -50,10 +51,17 @@ def environment() -> str:
         {"AVX2", "AVX512F", "NEON"} & set(cv2.getCPUFeaturesLine().replace("*", "").split())
     )
     packages = {name: version(name) for name in ("numpy", "scipy")}
+    # Of OpenBLAS: the processor's, or what OPENBLAS_CORETYPE asks for.
+    kernels = {
+        str(each["architecture"])
+        for each in threadpool_info()
+        if each["internal_api"] == "openblas"
+    }
     return " ".join(
         [
             platform.machine(),
             *wide,
+            *sorted(kernels),
             f"opencv {cv2.__version__}",
             *(f"{k} {v}" for k, v in packages.items()),
         ]
