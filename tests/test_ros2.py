@@ -314,7 +314,8 @@ def test_the_way_to_a_static_transform_is_told(served: Served) -> None:
 
 def test_a_replay_publishes_the_same_and_withdraws_it_at_the_end(served: Served) -> None:
     topics = ("targets", "cloud", "/diagnostics")
-    command = [*COMMAND, "replay", served.out, "--rate", 2, "--valid-for", 1, "--ros2-out"]
+    # Long enough for the two to discover each other.
+    command = [*COMMAND, "replay", served.out, "--rate", 0.5, "--valid-for", 2, "--ros2-out"]
     with listener(*topics) as heard:
         heard.wait_line('"up"')
         with process(*command):

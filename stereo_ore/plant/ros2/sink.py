@@ -185,7 +185,8 @@ class Ros2Sink:
                 elif written is not None:
                     self._send_files(written)
                 elif closed:
-                    self._publishers["targets"].wait_for_all_acked(self._duration(ACKNOWLEDGED_S))
+                    for topic in ("targets", "/diagnostics"):
+                        self._publishers[topic].wait_for_all_acked(self._duration(ACKNOWLEDGED_S))
                     return
                 self._beat()
                 self._fault = ""
