@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from stereo_ore.threads import chunks, map_rows
-from stereo_ore.types import F32
+from stereo_ore.types import F32, F64
 
 SMALL = 2**18
 """Multiplications of a matrix product: few enough that the linear algebra library doesn't start
@@ -40,7 +40,7 @@ class Network:
         hidden += bias
         logit = np.einsum("ij,j->i", np.maximum(hidden, 0, out=hidden), out)
         logit += np.float32(self.output_bias)
-        return np.asarray(1 / (1 + np.exp(-np.clip(logit, -30, 30))), np.float32)
+        return logistic(logit)
 
     def map(self, images: Sequence[F32]) -> F32:
         """Probability (h, w) of each pixel of F images (h, w), one feature each."""
@@ -56,9 +56,7 @@ class Network:
             hidden += bias[:, None]
             np.dot(out, np.maximum(hidden, 0, out=hidden), out=logit[few])
         logit += last
-        return np.asarray(1 / (1 + np.exp(-np.clip(logit, -30, 30))), np.float32).reshape(
-            images[0].shape
-        )
+        return logistic(logit).reshape(images[0].shape)
 
     def given(self, values: F32) -> Network:
         """The network whose last features are known to be `values`: their share goes into the
@@ -91,6 +89,11 @@ class Network:
             bias.astype(np.float32),
             np.array(self.output_weights, np.float32),
         )
+
+
+def logistic(logit: F32 | F64) -> F32:
+    """Probabilities of log odds."""
+    return np.asarray(1 / (1 + np.exp(np.negative(np.clip(logit, -30, 30)))), np.float32)
 
 
 def _product(features: F32, weights: F32) -> F32:

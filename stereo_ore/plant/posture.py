@@ -12,8 +12,9 @@ from contextlib import contextmanager, suppress
 from types import TracebackType
 from typing import Self
 
-from stereo_ore.errors import ConfigError, OutputError
+from stereo_ore.errors import ConfigError
 from stereo_ore.io.posture import MOST_LINE_BYTES, parse_posture, recorded_postures
+from stereo_ore.plant.listening import connections, listen, stop_listening
 from stereo_ore.types import F64, Posture, Postures, Site
 
 _log = logging.getLogger(__name__)
@@ -55,14 +56,7 @@ class PostureServer:
         self._writer: socket.socket | None = None
 
     def __enter__(self) -> Self:
-        try:
-            self._server = socket.create_server((self.host, self.port), backlog=_WAITING)
-        except OSError as fault:
-            raise OutputError(
-                f"can't listen on {self.host}:{self.port}: {fault.strerror}",
-                key="posture.listen",
-                remedy="Is another program listening there?",
-            ) from None
+        self._server = listen(self.host, self.port, "posture.listen", _WAITING)
         self.port = self._server.getsockname()[1]
         threading.Thread(target=self._accept, daemon=True, name="posture").start()
         return self
@@ -73,10 +67,7 @@ class PostureServer:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        # A thread that waits in accept() is not woken by close() alone.
-        with suppress(OSError):
-            self._server.shutdown(socket.SHUT_RDWR)
-        self._server.close()
+        stop_listening(self._server)
         self._replace(None)
 
     def around(self, stamp_ns: int) -> tuple[Posture, ...]:
@@ -87,11 +78,7 @@ class PostureServer:
         return tuple(told[max(after - 1, 0) : after + 1])
 
     def _accept(self) -> None:
-        while True:
-            try:
-                connection, address = self._server.accept()
-            except OSError:
-                return
+        for connection, address in connections(self._server):
             self._replace(connection)
             arguments = (connection, f"{address[0]}:{address[1]}")
             threading.Thread(target=self._read, args=arguments, daemon=True).start()

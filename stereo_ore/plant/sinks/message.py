@@ -40,9 +40,9 @@ class Target:
 
     `rank` is its place in the order, 1 first; `track` the lump's number in the run, the same in
     each frame that shows it, where that is known. `direction` is the unit vector the tool moves
-    along; `size_m` longest, middle and shortest dimension; `sigma_m` the standard
-    deviations of the centre of gravity `centre_m` along the axes of the camera; `alternates` other
-    strikes of the same lump, best first.
+    along; `size_m` longest, middle and shortest dimension; `sigma_m` the standard deviations of the
+    centre of gravity `centre_m` along the axes of the camera; `alternates` other strikes of the
+    same lump, best first.
     """
 
     id: int
@@ -77,8 +77,8 @@ class Origin:
 @dataclass(frozen=True)
 class Message:
     """The targets of one frame, or that there are none, and names of foreign bodies in view;
-    `deadline` is on this process's monotonic
-    clock [s], `age_s` how old the frame was when it was published.
+    `deadline` is on this process's monotonic clock [s], `age_s` how old the frame was when it was
+    published.
     """
 
     sequence: int

@@ -11,7 +11,7 @@ whole in any case.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Any
@@ -79,46 +79,26 @@ def _slot(
     return Variable("Targets", name, type, text, value, unit, OPCUA_SLOTS, certain=False)
 
 
-def _vectors(
+def _numbers(
     name: str,
     text: str,
-    get: Callable[[Target], Iterable[float] | None],
+    get: Callable[[Target], Sequence[float] | None],
     unit: str = "",
     frame: str = "",
+    count: int = 3,
 ) -> Variable:
-    """A flat array x0 y0 z0 x1 …: three values a slot."""
+    """A flat array x0 y0 z0 x1 …: `count` values a slot, NaN for those that are missing."""
 
     def value(message: Message) -> list[float]:
-        used = [
-            number
-            for target in message.targets[:OPCUA_SLOTS]
-            for number in get(target) or (_NAN,) * 3
-        ]
-        return used + [_NAN] * (3 * OPCUA_SLOTS - len(used))
-
-    return Variable(
-        "Targets", name, "Double", text, value, unit, 3 * OPCUA_SLOTS, frame, certain=False
-    )
-
-
-def _alternates(name: str, text: str, part: str, unit: str = "") -> Variable:
-    """A flat array of `MOST_ALTERNATES` vectors a slot."""
-
-    def value(message: Message) -> list[float]:
-        found = [_NAN] * (3 * MOST_ALTERNATES * OPCUA_SLOTS)
+        found = [_NAN] * (count * OPCUA_SLOTS)
         for slot, target in enumerate(message.targets[:OPCUA_SLOTS]):
-            numbers = [x for other in target.alternates for x in getattr(other, part)]
-            start = 3 * MOST_ALTERNATES * slot
-            found[start : start + len(numbers)] = numbers
+            known = get(target) or ()
+            found[count * slot : count * slot + len(known)] = known
         return found
 
-    length = 3 * MOST_ALTERNATES * OPCUA_SLOTS
-    return Variable("Targets", name, "Double", text, value, unit, length, "arm", certain=False)
-
-
-def _bounds(message: Message) -> list[float]:
-    used = [x for t in message.targets[:OPCUA_SLOTS] for x in t.volume_bounds_m3 or (_NAN,) * 2]
-    return used + [_NAN] * (2 * OPCUA_SLOTS - len(used))
+    return Variable(
+        "Targets", name, "Double", text, value, unit, count * OPCUA_SLOTS, frame, certain=False
+    )
 
 
 _RESULT_STATES = {"ok": 1, "empty": 1, "expired": 3, "degraded": 4, "failed": 4}
@@ -152,21 +132,24 @@ PAYLOAD = (
     Variable("Targets", "Count", "UInt32", "slots in use, best target first",
         lambda m: len(m.targets[:OPCUA_SLOTS])),
     _slot("Id", "UInt32", "ore id in the frame; 0: slot not in use", lambda t: t.id, 0),
-    _vectors("Position", "strike points x y z", lambda t: t.position_m, "m", "arm"),
-    _vectors("Direction", "unit vectors the tool moves along", lambda t: t.direction, frame="arm"),
-    _vectors("Size", "longest, middle, shortest; NaN unknown", lambda t: t.size_m, "m"),
+    _numbers("Position", "strike points x y z", lambda t: t.position_m, "m", "arm"),
+    _numbers("Direction", "unit vectors the tool moves along", lambda t: t.direction, frame="arm"),
+    _numbers("Size", "longest, middle, shortest; NaN unknown", lambda t: t.size_m, "m"),
     _slot("Volume", "Double", "volume of the lump; NaN unknown",
         lambda t: _NAN if t.volume_m3 is None else t.volume_m3,
         _NAN, "m³"),
-    _vectors("Sigma", "standard deviations of the centre of gravity; NaN unknown",
+    _numbers("Sigma", "standard deviations of the centre of gravity; NaN unknown",
         lambda t: t.sigma_m, "m",
         "left_rectified"),
-    _vectors("Centre", "centres of gravity; NaN unknown", lambda t: t.centre_m, "m", "arm"),
-    Variable("Targets", "VolumeBounds", "Double", "lower and upper bound a slot; NaN unknown",
-        _bounds, "m³", 2 * OPCUA_SLOTS, certain=False),
-    _alternates("AlternatePosition", "three other strike points a slot; NaN: none", "position_m",
-        "m"),
-    _alternates("AlternateDirection", "their directions", "direction"),
+    _numbers("Centre", "centres of gravity; NaN unknown", lambda t: t.centre_m, "m", "arm"),
+    _numbers("VolumeBounds", "lower and upper bound a slot; NaN unknown",
+        lambda t: t.volume_bounds_m3, "m³", count=2),
+    _numbers("AlternatePosition", "three other strike points a slot; NaN: none",
+        lambda t: [x for other in t.alternates for x in other.position_m], "m", "arm",
+        3 * MOST_ALTERNATES),
+    _numbers("AlternateDirection", "their directions",
+        lambda t: [x for other in t.alternates for x in other.direction], "", "arm",
+        3 * MOST_ALTERNATES),
     _slot("Oversize", "Int16", "1 yes, 0 no, -1 unknown", lambda t: _OVERSIZE[t.oversize], -1),
     _slot("Score", "Double", "quality of the strike", lambda t: t.score, _NAN),
     _slot("Track", "UInt32", "number of the lump in the run, the same in each frame; 0 unknown",

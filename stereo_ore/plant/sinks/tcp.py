@@ -14,7 +14,7 @@ from contextlib import suppress
 from types import TracebackType
 from typing import Self
 
-from stereo_ore.errors import OutputError
+from stereo_ore.plant.listening import connections, listen, stop_listening
 from stereo_ore.plant.sinks.base import Outbox, SinkState
 from stereo_ore.plant.sinks.message import Message
 
@@ -47,15 +47,7 @@ class TcpSink:
         self._sent = self._dropped = 0
 
     def __enter__(self) -> Self:
-        try:
-            self._server = socket.create_server((self.host, self.port))
-        except OSError as fault:
-            remedy = "Is another program listening there?"
-            raise OutputError(
-                f"can't listen on {self.host}:{self.port}: {fault.strerror}",
-                key="tcp",
-                remedy=remedy,
-            ) from None
+        self._server = listen(self.host, self.port, "tcp")
         self.port = self._server.getsockname()[1]
         threading.Thread(target=self._accept, daemon=True, name="tcp-accept").start()
         return self
@@ -66,12 +58,7 @@ class TcpSink:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        # A thread that waits in accept() is not woken by close() alone.
-        try:
-            self._server.shutdown(socket.SHUT_RDWR)
-        except OSError:
-            _log.debug("the listening socket can't be shut down on this system")
-        self._server.close()
+        stop_listening(self._server)
         with self._lock:
             consumers = list(self._consumers)
         end = time.monotonic() + _CLOSING_S
@@ -96,11 +83,7 @@ class TcpSink:
         return SinkState("TCP", f"{self.host}:{self.port}", count > 0, count, sent, dropped)
 
     def _accept(self) -> None:
-        while True:
-            try:
-                connection, address = self._server.accept()
-            except OSError:
-                return
+        for connection, address in connections(self._server):
             with self._lock:
                 if len(self._consumers) >= MAX_CONSUMERS and not self._make_room():
                     connection.close()

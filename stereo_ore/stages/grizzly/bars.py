@@ -79,13 +79,9 @@ class _Comb:
     contrast: float
     seen: int
 
-    def position(self, q: F64) -> F64:
-        """Coordinates (N,) [m] across the bars."""
-        return np.asarray(q @ np.array([-np.sin(self.angle), np.cos(self.angle)]))
-
     def off_centre(self, q: F64) -> F64:
         """Distances (N,) [m] from the nearest bar's middle."""
-        return np.abs(_wrap(self.position(q) - self.phase, self.pitch))
+        return np.abs(_wrap(_across(q, self.angle) - self.phase, self.pitch))
 
     def bars(self, axes: F64) -> Bars:
         """The same in space; `axes` (2, 3) are the plane's."""
@@ -120,30 +116,48 @@ def fit_bars(sample: Sample, plane: Plane, site: Site, sharp: bool = False) -> B
     q, signal = _around_open(q, signal)
     if len(q) < PHASES or signal.min() > 0 or signal.max() < 0:
         return BarFit(None, 0.0)
-    angle, width = _direction(q, signal), site.bar_width_m
-    main = _fitted(q, signal, angle, site.opening_m, width)
-    if site.opening_m is not None and site.cross_opening_m is None:
-        return (
-            BarFit(None, 0.0) if main is None else BarFit(main.bars(axes), main.contrast, main.seen)
-        )
-    # In a grid either direction may be the one along which the signal varies least.
-    turned = _fitted(q, signal, angle + np.pi / 2, site.opening_m, width)
-    if turned and (main is None or turned.contrast > main.contrast):
-        main = turned
+    main = _main(q, signal, site)
     if main is None:
         return BarFit(None, 0.0)
-    between = main.off_centre(q) > _BETWEEN * main.width
-    across = main.angle + np.pi / 2
-    # Of few bars the frame behind the last would be taken for another one.
-    between &= _where_open(np.asarray(q @ np.array([-np.sin(across), np.cos(across)])), signal)
-    cross = None
-    if between.sum() >= PHASES and signal[between].min() < 0 < signal[between].max():
-        cross = _fitted(q[between], signal[between], across, site.cross_opening_m, width)
-    if cross is None or not _is_grid(main, cross, site):
+    cross = None if _has_slots(site) else _cross(q, signal, main, site)
+    if cross is None:
         return BarFit(main.bars(axes), main.contrast, main.seen)
     solid = (main.off_centre(q) < main.width / 2) | (cross.off_centre(q) < cross.width / 2)
     contrast = _explained(solid.astype(np.intp), signal)
     return BarFit(main.bars(axes), contrast, max(main.seen, cross.seen), cross.bars(axes))
+
+
+def _has_slots(site: Site) -> bool:
+    """Whether somebody has described the openings as slots."""
+    return site.opening_m is not None and site.cross_opening_m is None
+
+
+def _main(q: F64, signal: F64, site: Site) -> _Comb | None:
+    """The bars that are most clearly seen."""
+    angle, width = _direction(q, signal), site.bar_width_m
+    main = _fitted(q, signal, angle, site.opening_m, width)
+    if _has_slots(site):
+        return main
+    # In a grid either direction may be the one along which the signal varies least.
+    turned = _fitted(q, signal, angle + np.pi / 2, site.opening_m, width)
+    return turned if turned and (main is None or turned.contrast > main.contrast) else main
+
+
+def _cross(q: F64, signal: F64, main: _Comb, site: Site) -> _Comb | None:
+    """Bars across the main ones, looked for between these; None where it is no grid."""
+    angle = main.angle + np.pi / 2
+    between = main.off_centre(q) > _BETWEEN * main.width
+    # Of few bars the frame behind the last would be taken for another one.
+    between &= _where_open(_across(q, angle), signal)
+    if between.sum() < PHASES or not signal[between].min() < 0 < signal[between].max():
+        return None
+    cross = _fitted(q[between], signal[between], angle, site.cross_opening_m, site.bar_width_m)
+    return cross if cross is not None and _is_grid(main, cross, site) else None
+
+
+def _across(q: F64, angle: float) -> F64:
+    """Coordinates (N,) [m] of places (N, 2) of a plane across a direction [rad] in it."""
+    return np.asarray(q @ np.array([-np.sin(angle), np.cos(angle)]))
 
 
 def _is_grid(main: _Comb, cross: _Comb, site: Site) -> bool:
@@ -158,7 +172,7 @@ def _fitted(
     q: F64, signal: F64, angle: float, opening_m: float | None, bar_width_m: float | None
 ) -> _Comb | None:
     """The bars along a direction of the plane."""
-    position = np.asarray(q @ np.array([-np.sin(angle), np.cos(angle)]))
+    position = _across(q, angle)
     comb = _comb(position, signal, opening_m, bar_width_m)
     if comb is None:
         return None
@@ -243,7 +257,7 @@ def _direction(q: F64, signal: F64) -> float:
         q, signal = q[some], signal[some]
 
     def contrast(angle: float) -> float:
-        position = q @ np.array([-np.sin(angle), np.cos(angle)])
+        position = _across(q, angle)
         low, high = position.min(), position.max()
         return _explained(
             ((position - low) / max(high - low, 1e-9) * (_BINS // 3)).astype(np.intp), signal

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stereo_ore.network import logistic
 from stereo_ore.stages.segment.channels import UNIT
-from stereo_ore.types import F32, F64
+from stereo_ore.types import F32
 
 OUTPUTS = ("ore", "line", "offset_x", "offset_y", "log_size")
 """Logits of ore and of the contact line between lumps; where the middle of what is seen of the lump
@@ -39,13 +40,9 @@ def read(raw: F32) -> Outputs:
     ore, line, log_size = values[[0, 1, 4]].astype(np.float64)
     rows, columns = (np.arange(n, dtype=np.float32) for n in raw.shape[1:])
     return Outputs(
-        _probability(ore),
-        _probability(line),
+        logistic(ore),
+        logistic(line),
         columns + values[2] * np.float32(UNIT),
         rows[:, None] + values[3] * np.float32(UNIT),
         np.asarray(np.clip(np.exp(log_size), _SMALLEST, _LARGEST) * UNIT, np.float32),
     )
-
-
-def _probability(logit: F64) -> F32:
-    return np.asarray(1 / (1 + np.exp(-np.clip(logit, -30, 30))), np.float32)
