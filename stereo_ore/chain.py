@@ -149,7 +149,7 @@ class Chain:
             if moved is None:
                 limits = (config.grizzly, config.health)
                 trace.check(health.unmeasured_doubts, surface, screen.plane, opening_m, *limits)
-        parts = health.judge_parts(disparity, self.rig, screen)
+        parts = health.judge_parts(disparity, self.rig, screen, site.volume)
         trace.check(health.row_doubts, parts, config.health)
         alien = foreign.find_foreign(surface, screen, opening_m, alien, config.foreign)
         trace.reached("foreign", alien)
