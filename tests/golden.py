@@ -50,7 +50,7 @@ def environment() -> str:
     wide = sorted(
         {"AVX2", "AVX512F", "NEON"} & set(cv2.getCPUFeaturesLine().replace("*", "").split())
     )
-    packages = {name: version(name) for name in ("numpy", "scipy")}
+    packages = {name: version(name) for name in ("numpy", "onnxruntime", "scipy")}
     # Of OpenBLAS: the processor's, or what OPENBLAS_CORETYPE asks for.
     kernels = {
         str(each["architecture"])

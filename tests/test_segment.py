@@ -385,5 +385,5 @@ def test_a_folder_without_a_model_and_a_broken_network_are_named(tmp_path: Path)
     with pytest.raises(ConfigError, match=r"models\.lumps.*model\.onnx"):
         segment.load_lump_model(str(tmp_path / "none"))
     model.write(tmp_path, b"no network", {})
-    with pytest.raises(ConfigError, match=r"models\.lumps.*OpenCV"):
+    with pytest.raises(ConfigError, match=r"models\.lumps.*ONNX Runtime"):
         segment.load_lump_model(str(tmp_path))

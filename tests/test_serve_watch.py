@@ -21,6 +21,7 @@ from live import ListSink, names_in, running, wait_for
 from stereo_ore.errors import FrameError, SourceError
 from stereo_ore.io.recordings import open_source
 from stereo_ore.plant.arrivals import arrivals
+from stereo_ore.plant.clock import SYSTEM, Clock
 from stereo_ore.plant.frames import Position
 from stereo_ore.plant.inbox import Inbox
 from stereo_ore.plant.watch import FolderWatch
@@ -265,6 +266,81 @@ def test_listing_does_not_grow_with_the_frames_that_are_done(tmp_path):
     assert min(seconds(done) for _ in range(5)) < 0.3 * min(
         seconds(Inbox(tmp_path)) for _ in range(3)
     )
+
+
+class StillClock(Clock):
+    now_s = 100.0
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+
+def handled_inbox(folder: Path, clock: Clock = SYSTEM) -> Inbox:
+    """An inbox of ten frames that are handled, in a folder whose time is sure."""
+    for index in range(10):
+        put_pair(folder, index)
+    inbox = Inbox(folder, clock)
+    for file in inbox.new_files()[""]:
+        inbox.handle(file)
+    return inbox
+
+
+def listings(monkeypatch: pytest.MonkeyPatch) -> list[object]:
+    """Each listing of a folder from now on."""
+    seen: list[object] = []
+    listed = os.listdir
+
+    def listdir(path: object) -> list[str]:
+        seen.append(path)
+        return listed(path)
+
+    monkeypatch.setattr(os, "listdir", listdir)
+    return seen
+
+
+def test_a_new_file_that_the_system_tells_of_needs_no_listing(tmp_path, monkeypatch):
+    clock = StillClock()
+    inbox = handled_inbox(tmp_path, clock)
+    clock.now_s += 3
+    inbox.new_files()
+    seen = listings(monkeypatch)
+    put_pair(tmp_path, 10)
+    (tmp_path / ".hidden.png").touch()
+    wait_for(lambda: len(inbox.new_files()[""]) == 2)
+    told = len(seen)
+    (tmp_path / "left000010.png").unlink()
+    put_pair(tmp_path, 3)
+    names = ["left000003.png", "right000003.png", "right000010.png"]
+    wait_for(lambda: [file.name for file in inbox.new_files()[""]] == names)
+    if sys.platform == "linux":
+        assert told <= 1  # where the word came later than the folder's time
+    clock.now_s += 60
+    before = len(seen)
+    inbox.new_files()
+    assert len(seen) == before + 1, "listed now and then all the same"
+
+
+def test_where_the_system_tells_nothing_a_folder_is_listed(tmp_path, monkeypatch, caplog):
+    def watch_limit(*paths: object, **options: object) -> None:
+        raise OSError("OS file watch limit reached")
+
+    monkeypatch.setattr("watchfiles.watch", watch_limit)
+    caplog.set_level("INFO")
+    inbox = handled_inbox(tmp_path)
+    seen = listings(monkeypatch)
+    put_pair(tmp_path, 10)
+    assert len(inbox.new_files()[""]) == 2
+    assert seen == [tmp_path]
+    assert "watch limit reached" in caplog.text
+
+
+def test_new_folders_are_found_by_what_the_system_tells(tmp_path):
+    inbox = Inbox(tmp_path)
+    assert inbox.new_files() == {"": []}
+    for side in SIDES:
+        (tmp_path / side).mkdir()
+        (tmp_path / side / "1.png").write_bytes(picture())
+    wait_for(lambda: [len(files) for files in inbox.new_files().values()] == [0, 1, 1])
 
 
 def test_a_restart_goes_on_with_what_was_not_handled(tmp_path):

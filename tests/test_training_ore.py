@@ -16,6 +16,7 @@ from stereo_ore.lab.synth.mesh import box, icosphere
 from stereo_ore.lab.training.ore import course, crops, examples, judge, piles
 from stereo_ore.lab.training.ore.tumble import tumble
 from stereo_ore.stages import segment
+from stereo_ore.stages.segment import model
 from stereo_ore.stages.segment.channels import CHANNELS, UNIT
 
 SIDES = 120, 150
@@ -186,6 +187,15 @@ def test_a_training_goes_on_from_the_model_that_it_is_given(tmp_path: Path) -> N
     assert card.about["made by"]["started from"] == shipped.card.sha256
     # Nothing was left out to fit another.
     assert card.whole == shipped.whole
+
+
+def test_a_network_of_fixed_sides_is_refused(tmp_path: Path) -> None:
+    onnx = pytest.importorskip("onnx")
+    network = onnx.load_from_string(segment.load_lump_model().onnx)
+    network.graph.input[0].type.tensor_type.shape.dim[2].dim_value = 256
+    model.write(tmp_path, network.SerializeToString(), {})
+    with pytest.raises(ConfigError, match=r"models\.lumps.*\[1, 10, 256, None\].*tune"):
+        segment.load_lump_model(str(tmp_path))
 
 
 def test_without_the_extra_the_package_is_named(

@@ -1,9 +1,10 @@
 """The image files of a watched folder that are not handled yet, found in a time that hardly grows
 with those that are.
 
-A folder whose own time has not changed has got no new names, so it is not listed again. A name that
-is used again (a counter that was reset) shows in its file's time or size: files that are handled
-are looked at again in turn, a few at a time.
+A folder whose own time has not changed has got no new names, so it is not listed again; where the
+operating system names what has changed, only that is looked at. A name that is used again (a
+counter that was reset) shows in its file's time or size: files that are handled are looked at again
+in turn, a few at a time.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from pathlib import Path
 
 from stereo_ore.io.recordings.images import IMAGE_SUFFIXES
 from stereo_ore.io.recordings.layouts import MOST_LEVELS, Listing
+from stereo_ore.plant.changes import Changes
 from stereo_ore.plant.clock import SYSTEM, Clock
 
 Look = tuple[int, int]
@@ -34,12 +36,15 @@ RECHECKS = 500
 
 @dataclass
 class _Folder:
-    """One folder: what its time was when it was listed, and its image files by name."""
+    """One folder: what its time was when it was listed, whether the system said what has changed
+    since, and its image files by name.
+    """
 
     changed_ns: int = -1
     noticed_s: float = 0.0
-    listed_s: float = 0.0
+    listed_s: float = float("-inf")
     took_s: float = 0.0
+    said: bool = False
     folders: list[str] = field(default_factory=list)
     new: set[str] = field(default_factory=set)
     handled: dict[str, Look] = field(default_factory=dict)
@@ -51,6 +56,7 @@ class Inbox:
     def __init__(self, root: Path, clock: Clock = SYSTEM) -> None:
         self.root = root
         self._clock = clock
+        self._changes = Changes(root)
         self._folders: dict[str, _Folder] = {}
         self._rechecks: Iterator[tuple[str, str]] = iter(())
 
@@ -66,6 +72,7 @@ class Inbox:
         self._visit("", found)
         for name in self._folders.keys() - found.keys():
             del self._folders[name]
+        self._changes.keep(found)
         self._recheck()
         return {
             name: [self._path(name, file) for file in sorted(found[name].new)]
@@ -96,7 +103,7 @@ class Inbox:
         path = self.root / name if name else self.root
         folder = self._folders.setdefault(name, _Folder())
         try:
-            self._update(folder, path)
+            self._update(name, folder, path)
         except OSError:
             if not name:
                 raise
@@ -106,13 +113,39 @@ class Inbox:
             for child in folder.folders:
                 self._visit(f"{name}/{child}" if name else child, found)
 
-    def _update(self, folder: _Folder, path: Path) -> None:
-        """List a folder where it may have changed."""
+    def _update(self, name: str, folder: _Folder, path: Path) -> None:
+        """Note what is new in a folder where it may have changed; list it where nothing says what,
+        and now and then all the same.
+        """
         changed_ns, now = os.stat(path).st_mtime_ns, self._clock.monotonic()
-        if changed_ns != folder.changed_ns:
+        changed = changed_ns != folder.changed_ns
+        if changed:
             folder.changed_ns, folder.noticed_s = changed_ns, now
-        elif not _is_due(folder, now):
-            return
+        # The folder's time may be too coarse to tell two changes; what is said tells them.
+        recent = now < folder.noticed_s + SURE_S
+        said = self._changes.take(name) if changed or recent else set()
+        folder.said = bool(said) or (folder.said and not changed)
+        if said and not _is_due(folder, now):
+            self._note(folder, path, said)
+        elif changed or _is_due(folder, now):
+            self._list(folder, path)
+
+    def _note(self, folder: _Folder, path: Path, names: set[str]) -> None:
+        """Take over names in a folder that have come, changed or gone."""
+        for name in names:
+            look = None if name.startswith(".") else look_at(path / name)
+            known = folder.handled.get(name)
+            if look is None:
+                folder.new.discard(name)
+                folder.handled.pop(name, None)
+            elif not name.lower().endswith(IMAGE_SUFFIXES):
+                if (path / name).is_dir():
+                    folder.folders = sorted({*folder.folders, name})
+            elif known is None or _is_another(look, known):
+                folder.handled.pop(name, None)
+                folder.new.add(name)
+
+    def _list(self, folder: _Folder, path: Path) -> None:
         began = time.perf_counter()
         names = set(os.listdir(path))
         visible = {name for name in names - folder.handled.keys() if not name.startswith(".")}
@@ -120,7 +153,8 @@ class Inbox:
         folder.folders = sorted(name for name in visible - folder.new if (path / name).is_dir())
         for gone in folder.handled.keys() - names:
             del folder.handled[gone]
-        folder.listed_s, folder.took_s = now, time.perf_counter() - began
+        folder.listed_s = self._clock.monotonic()
+        folder.took_s = time.perf_counter() - began
 
     def _recheck(self) -> None:
         """Find names among those handled that have got another file."""
@@ -143,8 +177,8 @@ class Inbox:
 
 
 def _is_due(folder: _Folder, now: float) -> bool:
-    """Whether a folder whose time is as it was is listed all the same."""
-    if folder.listed_s < folder.noticed_s + SURE_S:
+    """Whether a folder is listed though its time is as it was, or what has changed is said."""
+    if not folder.said and folder.listed_s < folder.noticed_s + SURE_S:
         return folder.took_s < QUICK_S or now >= folder.noticed_s + SURE_S
     return now - folder.listed_s >= max(RELIST_S, folder.took_s / RELIST_SHARE)
 

@@ -10,6 +10,11 @@ from stereo_ore.errors import OutputError
 
 _log = logging.getLogger(__name__)
 
+REMEDY = (
+    "Is another program listening there? Ports below 1024 need a right to them"
+    " (CAP_NET_BIND_SERVICE)"
+)
+
 
 def listen(host: str, port: int, key: str, waiting: int | None = None) -> socket.socket:
     """Listen at an address; port 0 takes a free one.
@@ -34,7 +39,7 @@ def listen(host: str, port: int, key: str, waiting: int | None = None) -> socket
         raise OutputError(
             f"can't listen on {host}:{port}: {fault.strerror}",
             key=key,
-            remedy="Is another program listening there?",
+            remedy=REMEDY,
         ) from None
 
 

@@ -17,6 +17,7 @@ from typing import Any, Self
 from urllib.parse import urlsplit
 
 from stereo_ore.errors import OutputError
+from stereo_ore.plant.listening import REMEDY
 from stereo_ore.plant.monitor import CONTENT_TYPE, health, metrics
 from stereo_ore.plant.sinks.settings import LOOPBACK
 from stereo_ore.plant.status import PlantStatus
@@ -66,9 +67,8 @@ class LivePage:
         try:
             self._server = ThreadingHTTPServer((LOOPBACK, self.port), handler)
         except OSError as fault:
-            remedy = "Is another program listening there?"
             problem = f"can't listen on {LOOPBACK}:{self.port}: {fault.strerror}"
-            raise OutputError(problem, key="page", remedy=remedy) from None
+            raise OutputError(problem, key="page", remedy=REMEDY) from None
         self.port = self._server.server_address[1]
         self._thread = threading.Thread(
             target=self._server.serve_forever, args=(0.1,), daemon=True, name="page"

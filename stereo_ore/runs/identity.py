@@ -23,6 +23,7 @@ PACKAGES = (
     "scipy",
     "scikit-learn",
     "opencv-contrib-python-headless",
+    "onnxruntime",
     "open3d-cpu",
     "open3d",
     "pydantic",

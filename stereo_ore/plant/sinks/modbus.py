@@ -5,13 +5,13 @@ from __future__ import annotations
 import asyncio
 import ipaddress
 import logging
-import socket
 import time
 from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from stereo_ore.errors import MissingExtraError, OutputError
+from stereo_ore.plant.listening import REMEDY, listen
 from stereo_ore.plant.sinks.base import SinkState
 from stereo_ore.plant.sinks.message import Message, Origin, notice
 from stereo_ore.plant.sinks.modbus_table import (
@@ -79,16 +79,8 @@ class ModbusSink:
         )
 
     def __enter__(self) -> Self:
-        remedy = (
-            "Is another program listening there? Ports below 1024 need a right to them"
-            " (CAP_NET_BIND_SERVICE)"
-        )
-        try:
-            socket.create_server((self._host, self._port)).close()
-        except OSError as fault:
-            problem = f"can't serve Modbus TCP at {self.address}: {fault.strerror}"
-            raise OutputError(problem, key="modbus", remedy=remedy) from None
-        self._supervisor.start("modbus", remedy)
+        listen(self._host, self._port, "modbus").close()
+        self._supervisor.start("modbus", REMEDY)
         return self
 
     def __exit__(

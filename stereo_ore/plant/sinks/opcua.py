@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import socket
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -11,7 +10,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from stereo_ore.errors import MissingExtraError, OutputError
+from stereo_ore.errors import MissingExtraError
+from stereo_ore.plant.listening import listen
 from stereo_ore.plant.sinks.base import Outbox, SinkState
 from stereo_ore.plant.sinks.message import Message, Origin, notice
 from stereo_ore.plant.sinks.opcua_access import Users, guard
@@ -78,13 +78,7 @@ class OpcUaSink:
         )
 
     def __enter__(self) -> Self:
-        try:
-            socket.create_server((self._host, self._port)).close()
-        except OSError as fault:
-            remedy = "Is another program listening there?"
-            raise OutputError(
-                f"can't serve {self.url}: {fault.strerror}", key="opcua", remedy=remedy
-            ) from None
+        listen(self._host, self._port, "opcua").close()
         self._supervisor.start("opcua", "Are certificate and key what they should be?")
         return self
 

@@ -1,8 +1,8 @@
 """Self-checks of a run: what makes a frame too doubtful to act on, each a `Reason` with a code of
 its own.
 
-The checks of one frame belong to the pipeline; those that need its predecessors are in
-`health.history`.
+Each judges one frame by itself, where the chain has reached what it needs; those that need earlier
+frames are in `runs/history.py`.
 """
 
 from stereo_ore.stages.health.eyes import eye_doubts as eye_doubts

@@ -5,10 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from importlib.resources import files
 from pathlib import Path
-from threading import Lock
 from typing import Any
 
 import cv2
@@ -23,6 +22,8 @@ from stereo_ore.types import F32
 _FORMAT, _VERSION = "stereo_ore/lump-model", 1
 _SHIPPED = "shipped"
 """Name of the model that comes with the package."""
+_FATAL = 4
+"""ONNX Runtime's level of messages that alone is shown: its errors are raised as well."""
 STRIDE = 16
 """Sides of the network's input are multiples of this."""
 KEY = "models.lumps"
@@ -46,7 +47,8 @@ class Card:
 
 
 class LumpModel:
-    """A network that is ready to run; copies that other processes get load it again.
+    """A network that is ready to run, in any number of threads at once; copies that other processes
+    get load it again.
 
     Parameters
     ----------
@@ -58,42 +60,70 @@ class LumpModel:
 
     def __init__(self, onnx: bytes, card: Card) -> None:
         self.onnx, self.card = onnx, card
-        self._prepare()
 
     @property
     def whole(self) -> Whole | None:
         """The model of whole lumps, where the card has one."""
         return self.card.whole
 
-    def _prepare(self) -> None:
-        # One run at a time: OpenCV keeps the values between the layers in the network itself.
-        self._lock = Lock()
-        try:
-            self._net = cv2.dnn.readNetFromONNX(np.frombuffer(self.onnx, np.uint8))
-        except cv2.error as error:
-            raise ConfigError(
-                "model.onnx is no network that OpenCV can read", key=KEY, remedy=_REMEDY
-            ) from error
-
     def __getstate__(self) -> dict[str, Any]:
         return {"onnx": self.onnx, "card": self.card}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.onnx, self.card = state["onnx"], state["card"]
-        self._prepare()
 
     def __call__(self, x: F32) -> F32:
         """Outputs (5, h, w) of channels (C, h, w), as `outputs.OUTPUTS` has them, not yet rounded.
 
-        The same for any number of threads; other processors and versions of OpenCV may differ by
-        about 1e-5.
+        The same for any number of threads; other processors and versions of ONNX Runtime may differ
+        by about 1e-5.
         """
         h, w = x.shape[1:]
-        padded = np.pad(x, [(0, 0), (0, -h % STRIDE), (0, -w % STRIDE)])
-        with self._lock:
-            self._net.setInput(padded[None].astype(np.float32))
-            found = np.array(self._net.forward(), np.float32)
-        return found[0, :, :h, :w]
+        padded = np.pad(x, [(0, 0), (0, -h % STRIDE), (0, -w % STRIDE)])[None]
+        (found,) = self._session.run(None, {self._session.get_inputs()[0].name: padded})
+        return np.asarray(found[0, :, :h, :w], np.float32)
+
+    def check(self) -> None:
+        """Refuse what is no network, or one of other inputs, outputs or of fixed sides.
+
+        Raises
+        ------
+        ConfigError
+            Naming what is wrong, and the remedy.
+        """
+        sides = [
+            [side if isinstance(side, int) else None for side in end.shape]
+            for ends in (self._session.get_inputs(), self._session.get_outputs())
+            for end in ends
+        ]
+        wanted = [[1, len(names), None, None] for names in (CHANNELS, OUTPUTS)]
+        if sides != wanted:
+            raise ConfigError(
+                f"model.onnx has inputs and outputs of {sides}: {wanted} are needed, where None is"
+                " any length",
+                key=KEY,
+                remedy=_REMEDY,
+            )
+
+    @cached_property
+    def _session(self) -> Any:
+        """The network in ONNX Runtime, with the threads that OpenCV is given."""
+        import onnxruntime
+
+        onnxruntime.disable_telemetry_events()
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = max(cv2.getNumThreads(), 1)
+        options.use_deterministic_compute = True
+        options.log_severity_level = _FATAL
+        # Memory of one frame is no use to the next, which has another size.
+        options.enable_cpu_mem_arena = options.enable_mem_pattern = False
+        # Threads that wait for work must not keep others from theirs.
+        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+        try:
+            return onnxruntime.InferenceSession(
+                self.onnx, options, providers=["CPUExecutionProvider"]
+            )
+        except Exception as error:  # of a dozen kinds, which have no other base
+            raise ConfigError(
+                "model.onnx is no network that ONNX Runtime can read", key=KEY, remedy=_REMEDY
+            ) from error
 
 
 def load_lump_model(place: str = _SHIPPED) -> LumpModel:
@@ -122,7 +152,9 @@ def _read(folder: Path) -> LumpModel:
             key=KEY,
             remedy=_REMEDY,
         ) from error
-    return LumpModel(onnx, _checked(card, text, onnx))
+    model = LumpModel(onnx, _checked(card, text, onnx))
+    model.check()
+    return model
 
 
 def _checked(path: Path, text: str, onnx: bytes) -> Card:
