@@ -284,6 +284,9 @@ class StrikeConfig(StageConfig):
         0.006, "residual of a flat patch, beside the depth noise", "m", gt=0, le=1
     )
     min_measured: float = param(0.7, "share of a patch that must have a depth", ge=0, lt=1)
+    max_depth_sigma: float = param(
+        0.018, "standard deviation of a depth there, over the distance", gt=0, lt=1
+    )
     lever_share: float = param(
         0.2,
         "distance from the normal through the centre of gravity, over the longest dimension, that"

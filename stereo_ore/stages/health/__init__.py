@@ -7,7 +7,7 @@ frames are in `runs/history.py`.
 
 from stereo_ore.stages.health.eyes import eye_doubts as eye_doubts
 from stereo_ore.stages.health.parts import judge_parts, row_doubts, without_doubtful
-from stereo_ore.stages.health.screen import bar_doubts
+from stereo_ore.stages.health.screen import bar_doubts, unmeasured_doubts
 from stereo_ore.stages.health.screen import screen_doubts as screen_doubts
 from stereo_ore.stages.health.site import missing as missing_in_site
 from stereo_ore.stages.health.site import other_scene
@@ -20,5 +20,6 @@ __all__ = [
     "other_scene",
     "row_doubts",
     "screen_doubts",
+    "unmeasured_doubts",
     "without_doubtful",
 ]

@@ -28,6 +28,7 @@ from stereo_ore.types import (
     Rig,
     Solid,
     StrikePlan,
+    Volume,
 )
 
 _STEP = 2
@@ -61,7 +62,9 @@ class Parts:
     rows: Mask
 
 
-def judge_parts(disparity: Disparity, rig: Rig, screen: Grizzly) -> Parts | None:
+def judge_parts(
+    disparity: Disparity, rig: Rig, screen: Grizzly, volume: Volume | None
+) -> Parts | None:
     """Look for the bars in all rows; None where it is not known where they are.
 
     Parameters
@@ -72,22 +75,38 @@ def judge_parts(disparity: Disparity, rig: Rig, screen: Grizzly) -> Parts | None
         Geometry of the rectified pair.
     screen : Grizzly
         Plane and bars.
+    volume : Volume or None
+        Beyond it there are no bars, but the floor on which a table stands.
     """
     if screen.bars is None or screen.source == "auto":
         return None
     rows, columns = disparity.region.slices
     x = (np.arange(columns.start, columns.stop, _STEP) - rig.cx) / rig.fx
     y = (np.arange(rows.start, rows.stop, _STEP) - rig.cy) / rig.fy
-    offset, slope = np.float32(screen.plane.offset), _on_rays(screen.plane.normal, x, y)
+    slope = _on_rays(screen.plane.normal, x, y)
+    depth = np.float32(screen.plane.offset) / slope
     excess = disparity.values[rows, columns][::_STEP, ::_STEP] + np.float32(rig.doffs_px)
     excess -= slope * np.float32(rig.fx * rig.baseline_m / screen.plane.offset)
     bars = screen.bars
-    turns = (
-        _on_rays(bars.across, x, y) * (offset / slope) - np.float32(bars.phase_m)
-    ) / np.float32(bars.pitch_m)
+    turns = (_on_rays(bars.across, x, y) * depth - np.float32(bars.phase_m)) / np.float32(
+        bars.pitch_m
+    )
     off_centre = np.abs(turns - np.round(turns)) * np.float32(2 * bars.pitch_m / bars.width_m)
     gap = off_centre > min(_GAP, 0.5 * (1 + bars.pitch_m / bars.width_m))
-    return Parts(off_centre < _WIDE, _elsewhere(excess, off_centre < _INNER, gap))
+    inside = _within(volume, x, y, depth)
+    rows_off = _elsewhere(excess, (off_centre < _INNER) & inside, gap & inside)
+    return Parts((off_centre < _WIDE) & inside, rows_off)
+
+
+def _within(volume: Volume | None, x: F64, y: F64, depth: F32) -> Mask:
+    """Which pixels (h, w) meet the plane, at these depths, inside the volume."""
+    inside = np.ones(depth.shape, np.bool_)
+    if volume is None:
+        return inside
+    for row, low, high in zip(volume.T_box_camera, volume.min_m, volume.max_m, strict=False):
+        along = _on_rays(row[:3], x, y) * depth
+        inside &= cv2.inRange(along, float(low - row[3]), float(high - row[3])) > 0
+    return inside
 
 
 def row_doubts(parts: Parts | None, config: HealthConfig) -> Iterator[Reason]:
