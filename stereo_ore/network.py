@@ -1,19 +1,21 @@
-"""A small network that turns features into a probability: plain numbers, run by NumPy."""
+"""A small network that turns features into a probability: plain numbers, run by ONNX Runtime."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
+from importlib.resources import files
+from typing import Any
 
 import numpy as np
 
+from stereo_ore import engine
 from stereo_ore.threads import chunks, map_rows
 from stereo_ore.types import F32, F64
 
-SMALL = 2**18
-"""Multiplications of a matrix product: few enough that the linear algebra library doesn't start
-threads of its own, which cost far more."""
+_LAYER = "hidden_layer.onnx"
+"""max(0, W₁·x + b₁) and its product with w₂; weights come as inputs beside x (F, n)."""
 
 
 @dataclass(frozen=True)
@@ -35,28 +37,20 @@ class Network:
 
     def judge(self, features: F32) -> F32:
         """Probability (n,) of few (n, F) features, on the calling thread."""
-        weights, bias, out = self._arrays
-        hidden = _product(features, weights)
-        hidden += bias
-        logit = np.einsum("ij,j->i", np.maximum(hidden, 0, out=hidden), out)
-        logit += np.float32(self.output_bias)
-        return logistic(logit)
+        return self._judge(np.ascontiguousarray(features.T, np.float32))
 
     def map(self, images: Sequence[F32]) -> F32:
-        """Probability (h, w) of each pixel of F images (h, w), one feature each."""
-        weights = (
-            np.array(self.hidden_weights, np.float32) / np.array(self.scale, np.float32)[:, None]
-        ).T
-        bias = np.array(self.hidden_bias, np.float32) - weights @ np.array(self.mean, np.float32)
-        out, last = np.array(self.output_weights, np.float32), np.float32(self.output_bias)
-        features = np.stack([np.ravel(image) for image in images])
-        logit = np.empty(features.shape[1], np.float32)
-        for few in chunks(len(logit), max(SMALL // weights.size, 1)):
-            hidden = weights @ features[:, few]
-            hidden += bias[:, None]
-            np.dot(out, np.maximum(hidden, 0, out=hidden), out=logit[few])
-        logit += last
-        return logistic(logit).reshape(images[0].shape)
+        """Probability (h, w) of each pixel of F images (h, w), one feature each, on the calling
+        thread.
+        """
+        flat = [image.ravel() for image in images]
+        found = [self._judge(np.stack([f[few] for f in flat])) for few in chunks(len(flat[0]))]
+        return np.concatenate(found).reshape(images[0].shape)
+
+    def _judge(self, features: F32) -> F32:
+        """Probability (n,) of features (F, n)."""
+        (logit,) = _layer().run(None, {"x": features, **self._weights})
+        return logistic(logit[0] + np.float32(self.output_bias))
 
     def given(self, values: F32) -> Network:
         """The network whose last features are known to be `values`: their share goes into the
@@ -80,34 +74,27 @@ class Network:
         )
 
     @cached_property
-    def _arrays(self) -> tuple[F32, F32, F32]:
-        """Weights (F, H) and bias (H,) of features as they come, and weights (H,) of the units."""
+    def _weights(self) -> dict[str, F32]:
+        """Weights w (H, F) and bias b (H, 1) of features as they come, and weights v (1, H) of the
+        units.
+        """
         weights = np.array(self.hidden_weights) / np.array(self.scale)[:, None]
         bias = np.array(self.hidden_bias) - np.array(self.mean) @ weights
-        return (
-            weights.astype(np.float32),
-            bias.astype(np.float32),
-            np.array(self.output_weights, np.float32),
-        )
+        return {
+            "w": np.ascontiguousarray(weights.T, np.float32),
+            "b": bias.astype(np.float32)[:, None],
+            "v": np.array(self.output_weights, np.float32)[None],
+        }
+
+
+@cache
+def _layer() -> Any:
+    return engine.session((files("stereo_ore") / "models" / _LAYER).read_bytes(), 1)
 
 
 def logistic(logit: F32 | F64) -> F32:
     """Probabilities of log odds."""
     return np.asarray(1 / (1 + np.exp(np.negative(np.clip(logit, -30, 30)))), np.float32)
-
-
-def _product(features: F32, weights: F32) -> F32:
-    """(n, F) features times (F, H) weights as a stack of small products, all in one call: threads
-    that call often wait for each other.
-    """
-    (n, width), units = features.shape, weights.shape[1]
-    rows = 2 ** int(np.log2(max(SMALL // weights.size, 1)))
-    stacked = n - n % rows
-    out = np.empty((n, units), np.float32)
-    stack = features[:stacked].T.reshape(width, -1, rows).transpose(1, 2, 0)
-    np.matmul(stack, weights, out=out[:stacked].reshape(-1, rows, units))
-    np.matmul(features[stacked:], weights, out=out[stacked:])
-    return out
 
 
 def average(networks: Sequence[Network]) -> Network:

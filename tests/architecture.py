@@ -82,6 +82,7 @@ CORE = frozenset(
         "planes",
         "threads",
         "times",
+        "engine",
         "network",
         "stages",
         "version",

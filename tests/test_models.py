@@ -11,6 +11,7 @@ from stereo_ore.errors import ConfigError
 from stereo_ore.stages import segment
 from stereo_ore.stages.segment import model
 
+MODELS = Path(model.__file__).parents[2] / "models"
 SCENE = Path(__file__).parents[1] / "data" / "paper_03"
 
 
@@ -33,6 +34,19 @@ def test_a_run_tells_which_network_it_used_and_another_folder_is_another_run(tmp
     assert found[0]["counts"]["voxels"] == found[1]["counts"]["voxels"]
     again = run(tmp_path / "a", "--resume", "--models", str(tmp_path / "mine"))
     assert isinstance(again.exception, ConfigError) or again.exit_code == 1
+
+
+def test_the_layer_of_small_networks_is_what_it_says():
+    onnx = pytest.importorskip("onnx")
+    graph = onnx.load(str(MODELS / "hidden_layer.onnx")).graph
+    steps = [(node.op_type, *node.input, *node.output) for node in graph.node]
+    assert steps == [
+        ("MatMul", "w", "x", "a"),
+        ("Add", "a", "b", "c"),
+        ("Relu", "c", "d"),
+        ("MatMul", "v", "d", "y"),
+    ]
+    assert [each.name for each in graph.input] == ["x", "w", "b", "v"]
 
 
 @pytest.mark.parametrize("verb", ["run", "serve"])

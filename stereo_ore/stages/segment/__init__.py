@@ -103,7 +103,8 @@ def _around(measured: Mask, matched: Region, margin_px: float) -> Region:
 
 def _named(seen: channels.Channels, config: SegmentConfig, model: LumpModel) -> tuple[I32, F64]:
     """Labels 1…n (h, w) in the network's images, and how likely each of 0…n is a whole lump."""
-    said = outputs.read(model(seen.x))
+    _, height, width = seen.x.shape
+    said = outputs.read(model(seen.padded)[:, :height, :width])
     least = max(config.min_pixels * seen.scale**2 / 2, FEWEST)
     labels = votes.lumps(
         said, least, config.ore_probability, config.agreement, config.line_probability

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import cv2
@@ -22,6 +22,8 @@ near by; logarithm of the spread close by."""
 
 UNIT = 32
 """Pixels that the opening spans in the network's images."""
+STRIDE = 16
+"""Sides of the network's input are multiples of this."""
 _LEAST_SCALE = 0.15
 """The images are never smaller than this share of the camera's."""
 _WINDOW, _CLOSE = int(1.5 * UNIT) | 1, 7
@@ -34,9 +36,14 @@ BEYOND = 4.0
 
 @dataclass(frozen=True)
 class Channels:
-    """The network's input x (10, h, w) float32 of an image rectangle, `scale` of its pixels."""
+    """The network's images x (10, h, w) float32 of an image rectangle, `scale` of its pixels.
+
+    They are the upper left part of `padded`, which is zero elsewhere and has sides that the network
+    takes.
+    """
 
     x: F32
+    padded: F32
     region: Region
     scale: float
 
@@ -65,13 +72,21 @@ def measure_channels(
     inner = _crop(disparity.region, region)
     d = disparity.values[region.slices]
     near = d > np.float32(0.5 - surface.rig.doffs_px)
-    parts = (
-        lambda: _shape(d, near, surface.rig, screen.plane, opening_m, region, (width, height)),
-        lambda: _doubts(disparity.cues, near, surface, inner, (width, height)),
-        lambda: _shades(surface.bgr[inner], (width, height)),
+    parts: dict[int, Callable[[], tuple[F32, ...]]] = {
+        0: lambda: _shape(d, near, surface.rig, screen.plane, opening_m, region, (width, height)),
+        5: lambda: _doubts(disparity.cues, near, surface, inner, (width, height)),
+        8: lambda: _shades(surface.bgr[inner], (width, height)),
+    }
+    padded = np.zeros(
+        (len(CHANNELS), height + -height % STRIDE, width + -width % STRIDE), np.float32
     )
-    images = [image for part in pool().map(lambda part: part(), parts) for image in part]
-    return Channels(np.stack(images), region, scale)
+
+    def fill(first: int) -> None:
+        for number, image in enumerate(parts[first](), first):
+            padded[number, :height, :width] = image
+
+    list(pool().map(fill, parts))
+    return Channels(padded[:, :height, :width], padded, region, scale)
 
 
 def _shape(

@@ -13,8 +13,9 @@ from typing import Any
 import cv2
 import numpy as np
 
+from stereo_ore import engine
 from stereo_ore.errors import ConfigError
-from stereo_ore.stages.segment.channels import CHANNELS, UNIT
+from stereo_ore.stages.segment.channels import CHANNELS, STRIDE, UNIT
 from stereo_ore.stages.segment.outputs import OUTPUTS
 from stereo_ore.stages.segment.whole import Whole
 from stereo_ore.types import F32
@@ -22,10 +23,6 @@ from stereo_ore.types import F32
 _FORMAT, _VERSION = "stereo_ore/lump-model", 1
 _SHIPPED = "shipped"
 """Name of the model that comes with the package."""
-_FATAL = 4
-"""ONNX Runtime's level of messages that alone is shown: its errors are raised as well."""
-STRIDE = 16
-"""Sides of the network's input are multiples of this."""
 KEY = "models.lumps"
 _REMEDY = (
     "Make it with: stereo-ore tune OUT --train ore; or leave the key out for the shipped model"
@@ -70,14 +67,11 @@ class LumpModel:
         return {"onnx": self.onnx, "card": self.card}
 
     def __call__(self, x: F32) -> F32:
-        """Outputs (5, h, w) of channels (C, h, w), as `outputs.OUTPUTS` has them, not yet rounded.
-
-        The same for any number of threads; other processors and versions of ONNX Runtime may differ
-        by about 1e-5.
-        """
+        """Outputs (5, h, w) of channels (C, h, w), as `outputs.OUTPUTS`, not yet rounded."""
         h, w = x.shape[1:]
-        padded = np.pad(x, [(0, 0), (0, -h % STRIDE), (0, -w % STRIDE)])[None]
-        (found,) = self._session.run(None, {self._session.get_inputs()[0].name: padded})
+        if h % STRIDE or w % STRIDE:
+            x = np.pad(x, [(0, 0), (0, -h % STRIDE), (0, -w % STRIDE)])
+        (found,) = self._session.run(None, {self._session.get_inputs()[0].name: x[None]})
         return np.asarray(found[0, :, :h, :w], np.float32)
 
     def check(self) -> None:
@@ -105,21 +99,8 @@ class LumpModel:
     @cached_property
     def _session(self) -> Any:
         """The network in ONNX Runtime, with the threads that OpenCV is given."""
-        import onnxruntime
-
-        onnxruntime.disable_telemetry_events()
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = max(cv2.getNumThreads(), 1)
-        options.use_deterministic_compute = True
-        options.log_severity_level = _FATAL
-        # Memory of one frame is no use to the next, which has another size.
-        options.enable_cpu_mem_arena = options.enable_mem_pattern = False
-        # Threads that wait for work must not keep others from theirs.
-        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         try:
-            return onnxruntime.InferenceSession(
-                self.onnx, options, providers=["CPUExecutionProvider"]
-            )
+            return engine.session(self.onnx, max(cv2.getNumThreads(), 1))
         except Exception as error:  # of a dozen kinds, which have no other base
             raise ConfigError(
                 "model.onnx is no network that ONNX Runtime can read", key=KEY, remedy=_REMEDY

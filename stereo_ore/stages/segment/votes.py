@@ -13,6 +13,7 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from stereo_ore.stages.segment.outputs import Outputs
+from stereo_ore.threads import pool
 from stereo_ore.types import F32, F64, I32, Mask
 
 SIZE_RATIO, SIZE_REACH = 1.35, 0.4
@@ -31,6 +32,7 @@ _NEAR = np.ones((3, 3), np.uint8)
 CROSS = np.asarray(cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3)), np.uint8)
 
 _I64 = npt.NDArray[np.int64]
+_Middle = tuple[float, float, float, float]
 
 
 def lumps(seen: Outputs, least: float, ore: float, mass: float, line: float) -> I32:
@@ -63,12 +65,13 @@ def _middles(x: F32, y: F32, size: F32, shape: tuple[int, ...], mass: float) -> 
     column = np.clip(np.rint(x), 0, width - 1).astype(np.int64)
     cell = np.clip(np.rint(y), 0, height - 1).astype(np.int64) * width + column
     level = np.log(size)
-    found = []
-    for log_d in np.arange(level.min(), level.max() + np.log(SIZE_RATIO), np.log(SIZE_RATIO)):
+
+    def agreed(log_d: float) -> list[_Middle]:
+        """Number of votes, x, y and diameter where most agree among those of about a size."""
         d = float(np.exp(log_d))
         like = np.flatnonzero(np.abs(level - log_d) < SIZE_REACH)
         if not len(like):
-            continue
+            return []
         sigma = max(1.2, BLUR * d)
         reach = max(3, int(0.2 * d)) | 1
         votes, (top, left) = _voted(cell[like], size[like], width, int(4 * sigma) + reach)
@@ -76,11 +79,13 @@ def _middles(x: F32, y: F32, size: F32, shape: tuple[int, ...], mass: float) -> 
         votes = np.round(votes * 4096) / np.float32(4096)
         highest = cv2.dilate(votes, np.ones((reach, reach), np.uint8))
         rows, columns = np.nonzero((votes == highest) & (votes > mass))
-        found += [
+        return [
             (float(votes[i, j]), float(j + left), float(i + top), d)
             for i, j in zip(rows, columns, strict=True)
         ]
-    return _apart(found)
+
+    sizes = np.arange(level.min(), level.max() + np.log(SIZE_RATIO), np.log(SIZE_RATIO))
+    return _apart([middle for found in pool().map(agreed, sizes) for middle in found])
 
 
 def _voted(cell: _I64, size: F32, width: int, margin: int) -> tuple[F32, tuple[int, int]]:
@@ -93,7 +98,7 @@ def _voted(cell: _I64, size: F32, width: int, margin: int) -> tuple[F32, tuple[i
     return votes.reshape(h, w).astype(np.float32), (top, left)
 
 
-def _apart(found: list[tuple[float, float, float, float]]) -> F64:
+def _apart(found: list[_Middle]) -> F64:
     """Of middles near each other the one with most votes, unless they differ much in size."""
     kept: list[tuple[float, float, float]] = []
     for _, x, y, d in sorted(found, key=lambda f: (-f[0], f[2], f[1], f[3])):
