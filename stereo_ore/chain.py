@@ -160,6 +160,7 @@ class Chain:
         trace.reached("segment", ore_map)
         solids = trace.reached("solids", solid.solids(surface, ore_map, screen, config.solid))
         plans = strike.plans(surface, ore_map, solids, screen, site, config.strike)
+        plans = health.without_blurred(plans, ore_map, matched, eyes, config.health)
         plans = trace.reached(
             "strikes", health.without_doubtful(plans, solids, ore_map, disparity, screen, parts)
         )

@@ -367,6 +367,9 @@ class HealthConfig(StageConfig):
     min_fine_detail: float = param(
         0.014, "energy of the finest detail in both eyes, over that of coarse detail", ge=0
     )
+    min_detail_ratio: float = param(
+        0.5, "detail of a lump in the eye that shows less of it, over the other's", ge=0, le=1
+    )
     max_screen_offset: float = param(
         4.0,
         "distance of the screen seen from the site's plane, in standard deviations of a depth",
