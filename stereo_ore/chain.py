@@ -142,12 +142,15 @@ class Chain:
         alien = foreign.places(surface, keep_out)
         surface = trace.reached("surface", foreign.without_foreign(surface, alien))
         screen = trace.reached("grizzly", replace(self._screen(surface), registration=moved))
+        opening_m = screen.opening_m or config.segment.default_opening_m
         trace.check(health.bar_doubts, moved, screen.opening_m, config.health)
         if screen.source != "auto":
             trace.check(health.screen_doubts, surface, screen.plane, config.grizzly, config.health)
-        parts = health.judge_parts(disparity, self.rig, screen)
+            if moved is None:
+                limits = (config.grizzly, config.health)
+                trace.check(health.unmeasured_doubts, surface, screen.plane, opening_m, *limits)
+        parts = health.judge_parts(disparity, self.rig, screen, site.volume)
         trace.check(health.row_doubts, parts, config.health)
-        opening_m = screen.opening_m or config.segment.default_opening_m
         alien = foreign.find_foreign(surface, screen, opening_m, alien, config.foreign)
         trace.reached("foreign", alien)
         too_much = alien.found_share > config.foreign.max_share
@@ -157,6 +160,7 @@ class Chain:
         trace.reached("segment", ore_map)
         solids = trace.reached("solids", solid.solids(surface, ore_map, screen, config.solid))
         plans = strike.plans(surface, ore_map, solids, screen, site, config.strike)
+        plans = health.without_blurred(plans, ore_map, matched, eyes, config.health)
         plans = trace.reached(
             "strikes", health.without_doubtful(plans, solids, ore_map, disparity, screen, parts)
         )

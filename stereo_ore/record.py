@@ -100,6 +100,7 @@ def _registration(moved: Registration | None) -> Json | None:
         "offset_m": number(moved.offset_m),
         "tilt_deg": number(math.degrees(moved.tilt_rad)),
         "worst_m": number(moved.worst_m),
+        "sigma_m": number(moved.sigma_m),
         "field_px": _numbers(moved.field_px),
     }
 

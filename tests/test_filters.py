@@ -1,15 +1,18 @@
 """What holds for every filter: bad parameters, degenerate clouds, order, rigid motion, threads."""
 
 import os
+import re
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from stereo_ore.cli import filter as filter_command
 from stereo_ore.config import FilterConfig
 from stereo_ore.errors import ConfigError
 from stereo_ore.lab import synth
@@ -244,3 +247,11 @@ def test_prepared_points_are_distinct_and_sorted_within_their_cell(seed: int, st
     order = np.lexsort((*xyz.T[::-1], cell))
     expected = [tuple(p) for p in xyz[order].tolist()]
     assert [tuple(p) for p in points.tolist()] == list(dict.fromkeys(expected))
+
+
+def test_help_and_parameters_name_every_method() -> None:
+    told = FilterConfig.model_fields["method"].description
+    help_text = (Path(filter_command.__file__)).read_text(encoding="utf-8")
+    for method in filters.METHODS:
+        assert re.search(rf"(^|[ ,]){method}([ ,.]|$)", told or "", re.MULTILINE), method
+        assert re.search(rf'help="[^"]*\b{method}\b', help_text), method

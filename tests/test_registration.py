@@ -11,7 +11,13 @@ from screens import DISTANCE, OPENING, RIG, WIDTH, Screen, draw
 
 from stereo_ore.config import GrizzlyConfig, HealthConfig
 from stereo_ore.stages.grizzly import corrected, find, register
-from stereo_ore.stages.health import bar_doubts, judge_parts, row_doubts, without_doubtful
+from stereo_ore.stages.health import (
+    bar_doubts,
+    judge_parts,
+    row_doubts,
+    unmeasured_doubts,
+    without_doubtful,
+)
 from stereo_ore.types import (
     F64,
     Disparity,
@@ -96,7 +102,7 @@ def test_a_planted_field_is_measured_and_taken_off(
     assert not np.shares_memory(mended.values, faulty.values)
 
 
-@pytest.mark.parametrize("factor", [0.98, 0.99, 0.995, 1.005, 1.01, 1.02])
+@pytest.mark.parametrize("factor", [0.97, 0.98, 0.995, 1.005, 1.02, 1.03])
 def test_a_wrong_baseline_shows_as_bars_that_are_nearer_or_farther(factor: float) -> None:
     disparity, wrong = seen(WIDE), replace(RIG, baseline_m=factor * RIG.baseline_m)
     found = measured(disparity, WIDE.plane, wrong)
@@ -106,12 +112,46 @@ def test_a_wrong_baseline_shows_as_bars_that_are_nearer_or_farther(factor: float
         ["SCREEN_MOVED"]
         if abs(1 - factor) * DISTANCE
         > max(HEALTH.max_bar_shift * OPENING, HEALTH.max_bar_shift_px * found.px_m)
+        + 2 * found.sigma_m
         else []
     )
     depth = wrong.depth(corrected(disparity, found, wrong).values)
     true = draw(replace(WIDE, noise_px=0.0))[0].xyz[..., 2]
     bars = np.abs(WIDE.plane.height(draw(replace(WIDE, noise_px=0.0))[0].xyz)) < 0.001
     assert abs(np.median((depth - true)[bars])) < 0.003
+
+
+def test_few_bars_at_one_end_tell_little_of_the_other() -> None:
+    """Ore hides the rest of the screen: a little tilt of what is left lifts its far end by much."""
+    whole, half = seen(WIDE), seen(WIDE)
+    half.values[:, 120:] += np.float32(25.0)
+    near, far = measured(whole, WIDE.plane), measured(half, WIDE.plane)
+    assert far.sigma_m > 4 * near.sigma_m
+    assert list(bar_doubts(near, OPENING, HEALTH)) == []
+    worse = replace(far, sigma_m=HEALTH.max_bar_shift * OPENING)
+    assert [reason.code for reason in bar_doubts(worse, OPENING, HEALTH)] == ["SCREEN_UNSURE"]
+
+
+@given(st.floats(0, np.pi), st.integers(0, 1000))
+@settings(max_examples=10, deadline=None)
+def test_the_plane_is_off_by_no_more_than_some_of_its_deviations(yaw: float, seed: int) -> None:
+    screen = replace(WIDE, yaw=yaw, seed=seed, lumps=LUMPS)
+    found = measured(seen(screen), screen.plane)
+    assert 0.0 < found.sigma_m < 0.004
+    assert found.worst_m < 5 * found.sigma_m + 0.001
+
+
+def unmeasured(screen: Screen, opening_m: float = OPENING) -> list[str]:
+    surface, _ = draw(screen)
+    reasons = unmeasured_doubts(surface, screen.plane, opening_m, CONFIG, HEALTH)
+    return [reason.code for reason in reasons]
+
+
+def test_a_screen_that_one_sees_through_must_show_its_bars() -> None:
+    """Asked where nothing was registered: single depths tell the plane to 37 mm here."""
+    assert unmeasured(WIDE) == ["SCREEN_UNSURE"]
+    assert unmeasured(replace(WIDE, bars=False)) == []
+    assert unmeasured(WIDE, opening_m=4 * OPENING) == []
 
 
 def test_without_bars_nothing_is_measured_and_nothing_corrected() -> None:
@@ -140,7 +180,7 @@ def rows_told(disparity: Disparity) -> tuple[np.ndarray, list[str]]:
     screen = replace(ACROSS, lumps=LUMPS)
     surface, _ = draw(screen)
     grizzly = find(surface, replace(SITE, plane=screen.plane), CONFIG)
-    parts = judge_parts(disparity, RIG, grizzly)
+    parts = judge_parts(disparity, RIG, grizzly, None)
     assert parts is not None
     return parts.rows, [reason.code for reason in row_doubts(parts, HEALTH)]
 
@@ -148,6 +188,27 @@ def rows_told(disparity: Disparity) -> tuple[np.ndarray, list[str]]:
 def test_sound_rows_are_not_told() -> None:
     rows, codes = rows_told(seen(replace(ACROSS, lumps=LUMPS)))
     assert (rows.sum(), codes) == (0, [])
+
+
+def test_rows_that_swing_alike_in_both_eyes_are_told() -> None:
+    sound = seen(replace(ACROSS, lumps=LUMPS))
+    swing = np.rint(12 * np.sin(np.arange(RIG.height) / 25)).astype(int)
+    values = np.stack([np.roll(row, by) for row, by in zip(sound.values, swing, strict=True)])
+    rows, codes = rows_told(replace(sound, values=values))
+    assert codes == ["PARTS_DISAGREE"]
+    assert 0.2 < rows.mean() < 0.9
+    assert rows_told(replace(sound, values=np.roll(sound.values, 2, 1)))[1] == []
+
+
+def test_a_floor_beside_the_screen_is_no_row_of_bars() -> None:
+    """Seen at paper_0711: the comb goes on over the floor on which the table stands."""
+    disparity = seen(replace(ACROSS, lumps=LUMPS))
+    v, u = np.mgrid[: RIG.height, : RIG.width]
+    rays = RIG.back_project(u, v, np.ones(u.shape))
+    floor = RIG.disparity(ACROSS.plane.offset / (rays @ ACROSS.plane.normal)) - 9.0
+    hidden = np.random.default_rng(0).random(floor.shape) < 0.45
+    disparity.values[:40] = np.where(hidden, np.nan, floor)[:40]
+    assert rows_told(disparity)[1] == []
 
 
 @pytest.mark.parametrize("shift_px", [-3.0, 2.0, 6.0])
@@ -167,7 +228,7 @@ def test_a_lump_on_the_comb_or_in_a_doubtful_row_is_no_target() -> None:
     grizzly = find(surface, replace(SITE, plane=screen.plane), CONFIG)
     disparity = seen(screen)
     disparity.values[280:] += np.float32(3.0)
-    parts = judge_parts(disparity, RIG, grizzly)
+    parts = judge_parts(disparity, RIG, grizzly, None)
     assert parts is not None
     height = np.abs(screen.plane.height(surface.xyz))
     labels[(height < 0.001) & (np.arange(RIG.height)[:, None] < 60)] = 3

@@ -15,7 +15,13 @@ from stereo_ore.cli import app, load_verbs
 from stereo_ore.errors import ConfigError
 from stereo_ore.plant.sinks.modbus_table import HEAD_WORDS, SLOT_WORDS, rows
 from stereo_ore.plant.sinks.opcua_model import CONTROL, PAYLOAD
-from stereo_ore.plant.sinks.settings import is_loopback, load_sinks, open_sinks, read_users
+from stereo_ore.plant.sinks.settings import (
+    OpcUaSettings,
+    is_loopback,
+    load_sinks,
+    open_sinks,
+    read_users,
+)
 
 
 def write_settings(folder: Path, text: str) -> Path:
@@ -31,6 +37,7 @@ def write_settings(folder: Path, text: str) -> Path:
         ("opcua: {host: 192.168.1.5, certificate: a, private_key: b}", "users"),
         ("mqtt: {host: broker.example}", "authority"),
         ("tcp: {host: 0.0.0.0}", "tunnel"),
+        ("foxglove: {host: 0.0.0.0}", "tunnel"),
         ("modbus: {host: 0.0.0.0}", "modbus.clients"),
         ("modbus: {clients: [10.1.0.0/99]}", "clients"),
         ("mqtt: {qos: 2}", "qos"),
@@ -46,6 +53,17 @@ def test_settings_that_would_be_unsafe_or_are_wrong_are_refused(tmp_path, text, 
     with pytest.raises(ConfigError, match=says) as fault:
         load_sinks(file)
     assert str(file) in str(fault.value)
+
+
+def test_an_address_stays_on_this_machine_unless_its_section_says_what_guards_it(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(OpcUaSettings, "guards", ())
+    file = write_settings(
+        tmp_path, "opcua: {host: 0.0.0.0, certificate: a, private_key: b, users: c}"
+    )
+    with pytest.raises(ConfigError, match="not guarded"):
+        load_sinks(file)
 
 
 def test_settings_name_files_beside_them(tmp_path):

@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stereo_ore.errors import FrameError, SourceError
-from stereo_ore.io.recordings import open_source, open_two_files
+from stereo_ore.io.recordings import FILE_OPENERS, open_source, open_two_files
 from stereo_ore.io.recordings.images import read_image
 from stereo_ore.io.recordings.names import (
     frame_names,
@@ -485,3 +485,13 @@ def test_names_that_are_no_stamps() -> None:
     assert [
         name_stamp(name) for name in ("000123", "frame_1700000000123456789", "٣" * 19, "9" * 19)
     ] == [None] * 4
+
+
+def test_of_two_endings_the_longer_one_opens_a_file(tmp_path, monkeypatch):
+    opened = []
+    monkeypatch.setitem(FILE_OPENERS, ".pairs.png", lambda path, options: opened.append(path))
+    for name in ("all.PAIRS.png", "pairs.png"):
+        cv2.imwrite(str(tmp_path / name), np.zeros((4, 8), np.uint8))
+    open_source(tmp_path / "all.PAIRS.png")
+    assert opened == [tmp_path / "all.PAIRS.png"]
+    assert open_source(tmp_path / "pairs.png").description["kind"] == "side-by-side images"

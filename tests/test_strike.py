@@ -57,6 +57,14 @@ def test_the_strike_lies_on_the_lump_and_points_into_it(pitch: float) -> None:
     assert np.linalg.norm(lever) < 0.05
 
 
+def test_a_lump_too_far_to_be_measured_is_no_target() -> None:
+    """Seen at hard_0815: at 4.7 m a pixel of disparity of a VGA eye is 0.7 m."""
+    view = look_down([FLAT_TOP])
+    share = float(np.nanmedian(view.surface.sigma_z / view.surface.xyz[..., 2]))
+    assert code(plan(view, replace_config(max_depth_sigma=0.7 * share))) == "UNCERTAIN_DEPTH"
+    assert plan(view, replace_config(max_depth_sigma=1.1 * share)).strikes
+
+
 def test_alternates_are_ranked_and_apart() -> None:
     strikes = plan(look_down([FLAT_TOP])).strikes
     assert len(strikes) == 1 + CONFIG.alternates

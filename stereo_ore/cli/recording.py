@@ -11,7 +11,7 @@ import typer
 from stereo_ore.errors import SourceError
 
 if TYPE_CHECKING:
-    from stereo_ore.io.recordings import Source
+    from stereo_ore.io.recordings import OpenedSource, Source
     from stereo_ore.types import StereoCalibration
 
 _log = logging.getLogger(__name__)
@@ -23,7 +23,7 @@ def open_for_command(
     right: Path | None,
     topics: tuple[str | None, str | None],
     max_skew_ms: float,
-) -> Source:
+) -> OpenedSource:
     """The recording that the options of a verb name."""
     from stereo_ore.io.recordings import BagOptions, open_source, open_two_files
 

@@ -142,12 +142,12 @@ def run(
     )  # fmt: skip
     more = [f"matching.fuse={fuse}"] if fuse else []
     parameters = parameters_of(config, settings, models, *more)
-    recording = open_for_command(source, left, right, (left_topic, right_topic), max_skew_ms)
-    recording = limit_pixels(recording, parameters.source.max_pixels)
-    calibration = calibration_for(recording, calib)
-    _log.info("%s", describe_recording(recording))
-    recording = expect_eyes(recording, calibration.image_size)
-    recording = retime(recording, None if start_time is None else parse_time(start_time), fps)
+    opened = open_for_command(source, left, right, (left_topic, right_topic), max_skew_ms)
+    opened = limit_pixels(opened, parameters.source.max_pixels)
+    calibration = calibration_for(opened, calib)
+    _log.info("%s", describe_recording(opened))
+    opened = expect_eyes(opened, calibration.image_size)
+    recording = retime(opened, None if start_time is None else parse_time(start_time), fps)
     place = load_site(site) if site else None
     chain = Chain(calibration, place, parameters, recorded_postures(place))
     _log.info("%s", _frames(len(select(recording, chain, options))))

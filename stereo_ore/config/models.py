@@ -284,6 +284,9 @@ class StrikeConfig(StageConfig):
         0.006, "residual of a flat patch, beside the depth noise", "m", gt=0, le=1
     )
     min_measured: float = param(0.7, "share of a patch that must have a depth", ge=0, lt=1)
+    max_depth_sigma: float = param(
+        0.018, "standard deviation of a depth there, over the distance", gt=0, lt=1
+    )
     lever_share: float = param(
         0.2,
         "distance from the normal through the centre of gravity, over the longest dimension, that"
@@ -363,6 +366,9 @@ class HealthConfig(StageConfig):
     )
     min_fine_detail: float = param(
         0.014, "energy of the finest detail in both eyes, over that of coarse detail", ge=0
+    )
+    min_detail_ratio: float = param(
+        0.5, "detail of a lump in the eye that shows less of it, over the other's", ge=0, le=1
     )
     max_screen_offset: float = param(
         4.0,

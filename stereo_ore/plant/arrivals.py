@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from stereo_ore.errors import SourceError
-from stereo_ore.io.recordings import Source
+from stereo_ore.io.recordings import OpenedSource
 from stereo_ore.io.recordings.folder import ImagePairs
 from stereo_ore.io.recordings.layouts import Eyes, Listing, find_eyes, may_be_eye
 from stereo_ore.io.recordings.names import frame_names, natural_key
@@ -22,7 +22,7 @@ class Arrival:
 
     name: str
     key: str
-    source: Source
+    source: OpenedSource
     paired: bool
 
     @property

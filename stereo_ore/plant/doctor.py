@@ -30,7 +30,7 @@ from stereo_ore.io.recordings import open_source
 from stereo_ore.io.site import load_site
 from stereo_ore.plant.listening import listen
 from stereo_ore.plant.live_files import NO_DISK_BYTES, free_bytes
-from stereo_ore.plant.sinks.settings import SinksSettings, load_sinks, open_sinks
+from stereo_ore.plant.sinks.settings import LOOPBACK, addresses, load_sinks, open_sinks
 from stereo_ore.plant.watch import first_size
 
 _Verdict = Literal["ok", "warning", "fault"]
@@ -210,7 +210,12 @@ def _consumers(plan: Plan) -> Iterator[_Finding]:
     """Ports that are free, files that are there, extras that are installed."""
     settings = load_sinks(plan.sinks, **dict(plan.ports))
     open_sinks(settings)
-    listening = [*_listening(settings), *([("page", "127.0.0.1", plan.page)] if plan.page else [])]
+    listening = [
+        (name, part.host, part.port)
+        for name, part in addresses(settings).items()
+        if part.listens and part.port
+    ]
+    listening += [("page", LOOPBACK, plan.page)] if plan.page else []
     for name, host, port in listening:
         try:
             listen(host, port, name).close()
@@ -220,13 +225,6 @@ def _consumers(plan: Plan) -> Iterator[_Finding]:
             yield _ok(f"{name}: {host}:{port} is free")
     if settings.mqtt:
         yield from _broker(settings.mqtt.host, settings.mqtt.port)
-
-
-def _listening(settings: SinksSettings) -> Iterator[tuple[str, str, int]]:
-    for name in ("opcua", "modbus", "tcp"):
-        part = getattr(settings, name)
-        if part is not None and part.port:
-            yield name, part.host, part.port
 
 
 def _broker(host: str, port: int) -> Iterator[_Finding]:

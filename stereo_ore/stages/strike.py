@@ -159,7 +159,8 @@ def _tests(
     keep_off = 0.5 * config.tool_diameter_m + config.clearance_m
     above_bars = plane.height(patches.xyz) > config.clearance_m
     return {
-        "UNCERTAIN_DEPTH": patches.share > config.min_measured,
+        "UNCERTAIN_DEPTH": (patches.share > config.min_measured)
+        & (patches.sigma_z < config.max_depth_sigma * patches.xyz[:, 2]),
         "NEAR_EDGE": (patches.edge >= keep_off) & above_bars,
         "TOO_SMALL_PATCH": patches.rms <= _flat_enough(patches, config),
         "TOO_STEEP": cos >= np.cos(config.max_slope_rad),

@@ -199,6 +199,7 @@ class Registration:
     `field_px` (3,) is the difference c·(1, x, y) [px] at x = (u − cx)/fx, y = (v − cy)/fy;
     `offset_m` how far the bars seem to lie above that plane, in the median; `tilt_rad` the angle
     between both planes; `worst_m` the largest distance between them over the bars that were seen;
+    `sigma_m` the largest standard deviation of the measured plane's height over the screen in view;
     `px_m` the height that a pixel of disparity is there.
     """
 
@@ -206,6 +207,7 @@ class Registration:
     offset_m: float
     tilt_rad: float
     worst_m: float
+    sigma_m: float
     px_m: float
 
     def __post_init__(self) -> None:

@@ -6,12 +6,11 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
 
 from stereo_ore.errors import FrameError, SourceError
 from stereo_ore.io.recordings.bag import BagOptions, is_bag_folder, open_bag
 from stereo_ore.io.recordings.bag_files import BAG_SUFFIXES
-from stereo_ore.io.recordings.base import Source
+from stereo_ore.io.recordings.base import OpenedSource, Source
 from stereo_ore.io.recordings.folder import open_folder, open_two_files
 from stereo_ore.io.recordings.images import IMAGE_SUFFIXES
 from stereo_ore.io.recordings.side_by_side import open_side_by_side_image
@@ -21,6 +20,7 @@ from stereo_ore.types import StereoPair
 
 __all__ = [
     "BagOptions",
+    "OpenedSource",
     "Source",
     "describe_recording",
     "expect_eyes",
@@ -40,7 +40,7 @@ _KINDS = {
 MOST_TRIED = 5
 """Frames that are tried for their size."""
 
-Opener = Callable[[Path, BagOptions], Source]
+Opener = Callable[[Path, BagOptions], OpenedSource]
 
 FILE_OPENERS: dict[str, Opener] = {
     **dict.fromkeys(IMAGE_SUFFIXES, lambda path, _: open_side_by_side_image(path)),
@@ -48,10 +48,14 @@ FILE_OPENERS: dict[str, Opener] = {
     **dict.fromkeys(BAG_SUFFIXES, open_bag),
     **dict.fromkeys((".svo", ".svo2"), lambda path, _: open_svo(path)),
 }
-"""Openers by file suffix; to add a container format, add its line here."""
+"""Openers by how a file's name ends, the longest ending first; to add a container format, add its
+line here."""
 
 
-def open_source(path: Path, options: BagOptions = BagOptions()) -> Source:  # noqa: B008 - immutable
+def open_source(
+    path: Path,
+    options: BagOptions = BagOptions(),  # noqa: B008 - immutable
+) -> OpenedSource:
     """Open a recording: a folder in any known layout, or a file; `options` matter for bags.
 
     Raises
@@ -67,32 +71,28 @@ def open_source(path: Path, options: BagOptions = BagOptions()) -> Source:  # no
             if is_bag_folder(path)
             else open_folder(path, options.max_skew_ms)
         )
-    suffix = path.suffix.lower()
-    if suffix not in FILE_OPENERS:
+    endings = [ending for ending in FILE_OPENERS if path.name.lower().endswith(ending)]
+    if not endings:
         raise SourceError(
-            f"files ending in {suffix!r} are not known",
+            f"files ending in {path.suffix.lower()!r} are not known",
             file=path,
             remedy=f"Known: {known_layouts()}",
         )
-    return FILE_OPENERS[suffix](path, options)
+    return FILE_OPENERS[max(endings, key=len)](path, options)
 
 
-def limit_pixels(source: Source, max_pixels: int) -> Source:
+def limit_pixels(source: OpenedSource, max_pixels: int) -> OpenedSource:
     """The same recording, whose pictures of more than `max_pixels` are refused before they are
     decoded.
     """
-    return cast(Source, replace(cast(Any, source), max_pixels=max_pixels))
+    return replace(source, max_pixels=max_pixels)
 
 
-def expect_eyes(source: Source, eye_size: tuple[int, int]) -> Source:
+def expect_eyes(source: OpenedSource, eye_size: tuple[int, int]) -> OpenedSource:
     """The same recording; pictures that are to hold two eyes of `eye_size` (width, height) and hold
     one are refused.
     """
-    return (
-        cast(Source, replace(cast(Any, source), eye_size=eye_size))
-        if hasattr(source, "eye_size")
-        else source
-    )
+    return replace(source, eye_size=eye_size) if hasattr(source, "eye_size") else source
 
 
 def frame_size(source: Source) -> tuple[int, int] | None:

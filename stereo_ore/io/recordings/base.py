@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 from stereo_ore.errors import FrameError
 from stereo_ore.io.recordings.images import Image, depth_of
@@ -58,6 +58,21 @@ class Source(Protocol):
             When the frame is incomplete or unreadable; the frames around it are not touched by
             that.
         """
+        ...
+
+
+class OpenedSource(Source, Protocol):
+    """What an opener returns: a dataclass, copies of which with another limit read the same.
+
+    It may have a field `eye_size` (width, height) [px], which refuses pictures of one eye where two
+    are to be side by side, and `notes`, texts that are said at the start.
+    """
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    @property
+    def max_pixels(self) -> int:
+        """Pictures of more pixels are refused before they are decoded."""
         ...
 
 

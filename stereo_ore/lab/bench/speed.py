@@ -115,7 +115,10 @@ def _round(job: Job, plain: Mapping[str, Callable[[], object]]) -> dict[str, flo
     the other.
     """
     result, times = _frame(job)
-    times["files"] = _ms(lambda: job.driver.files.write(result))
+    lines, files = frame_lines(result, job.driver.chain.site, []), job.driver.files
+    times["files"] = _ms(lambda: files.write(result)) + _ms(
+        lambda: files.draw(lines, job.driver.chain.rig)
+    )
     return times | {name: _ms(task) for name, task in plain.items()}
 
 

@@ -7,7 +7,7 @@ import os
 import stat
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, IPvAnyNetwork
 
@@ -25,10 +25,22 @@ class _Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-class OpcUaSettings(_Section):
-    """An OPC UA server; beyond this machine only with certificate, key and users."""
+class _Address(_Section):
+    """A consumer at an address, which is this machine's unless a section says what guards it."""
+
+    guards: ClassVar[tuple[str, ...]] = ()
+    """Keys that must be given for an address beyond this machine; none: there is no such."""
+    listens: ClassVar[bool] = True
+    """Whether this program listens at the address."""
 
     host: str = LOOPBACK
+    port: Annotated[int, Field(ge=0, le=65535)]
+
+
+class OpcUaSettings(_Address):
+    """An OPC UA server; beyond this machine only with certificate, key and users."""
+
+    guards = ("certificate", "private_key", "users")
     port: Port = 4840
     certificate: Path | None = None
     private_key: Path | None = None
@@ -36,10 +48,11 @@ class OpcUaSettings(_Section):
     users: Path | None = None
 
 
-class MqttSettings(_Section):
+class MqttSettings(_Address):
     """A broker; beyond this machine only with TLS and a user."""
 
-    host: str = LOOPBACK
+    guards = ("authority", "users")
+    listens = False
     port: Port = 1883
     topic: str = Field("stereo_ore/targets", min_length=1, pattern=r"^[^+#\x00]+$")
     qos: Literal[0, 1] = 0
@@ -47,27 +60,25 @@ class MqttSettings(_Section):
     users: Path | None = None
 
 
-class TcpSettings(_Section):
+class TcpSettings(_Address):
     """JSON lines; they are neither encrypted nor guarded, so they never leave this machine."""
 
-    host: str = LOOPBACK
     port: Annotated[int, Field(ge=0, le=65535)] = 5020
 
 
-class ModbusSettings(_Section):
+class ModbusSettings(_Address):
     """Modbus TCP, which knows neither users nor encryption; beyond this machine only for the
     clients that are named.
     """
 
-    host: str = LOOPBACK
+    guards = ("clients",)
     port: Port = 502
     clients: tuple[IPvAnyNetwork, ...] = ()
 
 
-class FoxgloveSettings(_Section):
+class FoxgloveSettings(_Address):
     """A WebSocket for Foxglove, which never leaves this machine."""
 
-    host: str = LOOPBACK
     port: Annotated[int, Field(ge=0, le=65535)] = 8765
 
 
@@ -125,6 +136,11 @@ def with_ros2(settings: SinksSettings) -> SinksSettings:
     )
 
 
+def addresses(settings: SinksSettings) -> dict[str, _Address]:
+    """The consumers that have an address, by their section's name."""
+    return {name: part for name, part in settings if isinstance(part, _Address)}
+
+
 def is_loopback(host: str) -> bool:
     """True for an address that only this machine can reach."""
     try:
@@ -146,24 +162,15 @@ def _resolve(settings: SinksSettings, folder: Path) -> SinksSettings:
 
 
 def _check_addresses(settings: SinksSettings, origin: Path) -> None:
-    needs = {
-        "opcua": ("certificate", "private_key", "users"),
-        "mqtt": ("authority", "users"),
-        "modbus": ("clients",),
-        "tcp": None,
-        "foxglove": None,
-    }
-    for name, fields in needs.items():
-        part = getattr(settings, name)
-        if part is None or is_loopback(part.host):
+    for name, part in addresses(settings).items():
+        missing = [f"{name}.{key}" for key in part.guards if not getattr(part, key)]
+        if is_loopback(part.host) or (part.guards and not missing):
             continue
+        remedy = "It is not guarded: use 127.0.0.1 and a tunnel, or OPC UA"
+        if missing:
+            remedy = f"Give {', '.join(missing)}, or use 127.0.0.1"
         problem = f"{part.host} is beyond this machine"
-        if fields is None:
-            remedy = "It is not guarded: use 127.0.0.1 and a tunnel, or OPC UA"
-            raise ConfigError(problem, file=origin, key=f"{name}.host", remedy=remedy)
-        if missing := [field for field in fields if not getattr(part, field)]:
-            remedy = f"Give {', '.join(f'{name}.{field}' for field in missing)}, or use 127.0.0.1"
-            raise ConfigError(problem, file=origin, key=f"{name}.host", remedy=remedy)
+        raise ConfigError(problem, file=origin, key=f"{name}.host", remedy=remedy)
     if settings.opcua and (settings.opcua.certificate is None) != (
         settings.opcua.private_key is None
     ):
@@ -258,4 +265,5 @@ MAKERS: dict[str, Callable[[Any, Origin], TargetSink]] = {
     "tcp": _tcp,
     "modbus": _modbus,
 }
-"""To add a consumer: its section in `SinksSettings` and its line here."""
+"""To add a consumer: its section in `SinksSettings` and its line here. An `_Address` without
+`guards` stays on this machine."""

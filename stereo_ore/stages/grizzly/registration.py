@@ -30,8 +30,14 @@ _INNER = 0.7
 """Share of a bar's width that is looked at: its edges are smeared."""
 _RIDGE = 0.35
 """And of a round one's: beside its ridge it falls off by a thirtieth of its width at most."""
-_FEWEST, LEAST_WEIGHT = 300, 0.2
+_ROUNDS = 2
+"""Times bars are looked for: first in the plane of all that is near, ore and floor and all, then in
+that of the bars."""
+_FEWEST, LEAST_WEIGHT = 100, 0.2
 """Pixels on bars, with at least this weight in the last fit, that are needed."""
+_TILE_RAD, _FEWEST_TILES = 0.15, 6
+"""Side of the tiles within which the matcher's errors are common (40 px of a VGA eye), and how many
+tell of their size."""
 LEAST_CONTRAST = 0.15
 """Contrast of the bars in what is solid and open, below which it is not bars that were measured."""
 
@@ -72,16 +78,21 @@ def _within(
     if len(near.excess) < _FEWEST:
         return None
     field, _ = _tukey(near, np.array([_mode(near.excess), 0.0, 0.0]))
-    fit = _bars(pixels, rig, plane_of(rig, plane, field), site, config)
-    if fit.bars is None or fit.contrast < LEAST_CONTRAST:
+    for _ in range(_ROUNDS):
+        fit = _bars(pixels, rig, plane_of(rig, plane, field), site, config)
+        if fit.bars is None:
+            return None
+        inner = fit.narrowed(_INNER if site.bar_profile == "flat" else _RIDGE)
+        on_bars = pixels.where(inner.covers(pixels.on(plane_of(rig, plane, field))))
+        if len(on_bars.excess) < _FEWEST:
+            return None
+        field, weight = _tukey(on_bars, field)
+    if fit.contrast < LEAST_CONTRAST:
         return None
-    inner = fit.narrowed(_INNER if site.bar_profile == "flat" else _RIDGE)
-    on_bars = near.where(inner.covers(near.on(plane_of(rig, plane, field))))
-    if len(on_bars.excess) < _FEWEST:
+    seen = weight > LEAST_WEIGHT
+    if seen.sum() < _FEWEST or (covariance := _covariance(on_bars, field, weight)) is None:
         return None
-    field, weight = _tukey(on_bars, field)
-    seen = on_bars.where(weight > LEAST_WEIGHT)
-    return _described(seen, rig, plane, field) if len(seen.excess) >= _FEWEST else None
+    return _described(on_bars.where(seen), pixels, rig, plane, field, covariance)
 
 
 def corrected(disparity: Disparity, registration: Registration | None, rig: Rig) -> Disparity:
@@ -177,10 +188,46 @@ def _bars(pixels: _Pixels, rig: Rig, plane: Plane, site: Site, config: GrizzlyCo
     return fit_bars(sample, plane, site, sharp=True)
 
 
-def _described(seen: _Pixels, rig: Rig, plane: Plane, field: F64) -> Registration:
+def _covariance(pixels: _Pixels, field: F64, weight: F64) -> F64 | None:
+    """Covariance (3, 3) of a fitted field [px²], robust against errors that neighbours have in
+    common: the sandwich of clusters (Liang & Zeger 1986); None where too few tell of it.
+    """
+    basis = pixels.rays[:, [2, 0, 1]]
+    tile = np.floor(pixels.rays[:, :2] / _TILE_RAD).astype(np.intp)
+    tile = np.unique(tile, axis=0, return_inverse=True)[1].ravel()
+    count = int(tile.max()) + 1
+    if count < _FEWEST_TILES:
+        return None
+    pull = weight * (pixels.excess - np.einsum("ni,i->n", basis, field))
+    pulls = np.stack([np.bincount(tile, pull * column, count) for column in basis.T])
+    normal = np.einsum("ni,nj->ij", basis * weight[:, None], basis)
+    # Of bars that are all in one line the rest is unknown, and not singular.
+    bread = np.linalg.inv(normal + 1e-9 * np.trace(normal) * np.eye(3))
+    filling = np.einsum("it,jt->ij", pulls, pulls) * count / (count - 3)
+    return np.asarray(np.einsum("ij,jk,kl->il", bread, filling, bread))
+
+
+def _described(
+    seen: _Pixels, pixels: _Pixels, rig: Rig, plane: Plane, field: F64, covariance: F64
+) -> Registration:
     measured = plane_of(rig, plane, field)
     height = plane.height(seen.on(measured))
     tilt = float(np.arccos(np.clip(measured.normal @ plane.normal, -1, 1)))
     worst = float(np.percentile(np.abs(height), 99))
     px_m = float(rig.depth_sigma(np.median(seen.depth), 1.0)) * abs(float(plane.normal[2]))
-    return Registration(field, float(np.median(height)), tilt, worst, px_m)
+    sigma = float(np.percentile(_height_sigma(pixels, rig, plane, covariance), 99))
+    return Registration(field, float(np.median(height)), tilt, worst, sigma, px_m)
+
+
+def _height_sigma(pixels: _Pixels, rig: Rig, plane: Plane, covariance: F64) -> F64:
+    """Standard deviation (N,) [m] of the height of the fitted plane where rays meet it."""
+    basis = pixels.rays[:, [2, 0, 1]]
+    sigma_px = np.sqrt(np.einsum("ni,ij,nj->n", basis, covariance, basis))
+    # A pixel of disparity moves a point by z²/(f·B) along its ray, whose length along the normal is
+    # |offset| / z.
+    return np.asarray(
+        sigma_px
+        * rig.depth_sigma(pixels.on(plane)[:, 2], 1.0)
+        * abs(plane.offset)
+        / pixels.on(plane)[:, 2]
+    )

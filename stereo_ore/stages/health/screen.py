@@ -35,6 +35,9 @@ ore has no gaps."""
 LEAST_HIDDEN = 0.4
 """Share of the outline of all points that shows any where ore hides the screen; less where only
 tips of it are left."""
+_SURELY, _UNSURE = 2.0, 3.0
+"""Standard deviations of the bars' plane by which it must be too far off, and which must be less
+than how far off it may be."""
 LEAST_OWN, CLEAR_OF, _BESIDE = 0.05, 2.5, 2.5
 """The bars are at the site's plane after all where at least this share of the points is, so many
 times more than so many tolerances above and below: then a wider plane is the floor of the pit."""
@@ -109,25 +112,57 @@ def screen_doubts(
 def bar_doubts(
     moved: Registration | None, opening_m: float | None, config: HealthConfig
 ) -> Iterator[Reason]:
-    """SCREEN_MOVED where the bars were measured farther from their place than may be corrected.
+    """SCREEN_MOVED where the bars were surely measured farther from their place than may be
+    corrected, SCREEN_UNSURE where they don't tell of it.
 
     Their whole plane counts, which thousands of pixels tell to millimetres, not the noise of one
-    depth.
+    depth; of few bars at one end it says little about the other.
     """
     if moved is None or opening_m is None:
         return
     # Where a pixel is large the matcher's own bias is, too.
     most = max(config.max_bar_shift * opening_m, config.max_bar_shift_px * moved.px_m)
-    if moved.worst_m <= most:
+    if moved.worst_m > most + _SURELY * moved.sigma_m:
+        where = (
+            f"{1000 * abs(moved.offset_m):.0f} mm {'above' if moved.offset_m > 0 else 'below'}"
+            " their place"
+        )
+        text = f"the bars are measured {where}, turned by {np.degrees(moved.tilt_rad):.2f}°"
+        limit = f"up to {1000 * moved.worst_m:.0f} mm off, {1000 * most:.0f} mm may be corrected"
+        remedy = "was the camera moved, or is the calibration of another one?"
+        yield Reason("SCREEN_MOVED", f"{text} and {limit} (health.max_bar_shift): {remedy}")
+    elif _UNSURE * moved.sigma_m > most:
+        text = f"what is seen of the bars tells their plane to {1000 * moved.sigma_m:.0f} mm only"
+        yield _unsure(text, most / _UNSURE)
+
+
+def unmeasured_doubts(
+    surface: Surface,
+    plane: Plane,
+    opening_m: float,
+    grizzly: GrizzlyConfig,
+    config: HealthConfig,
+) -> Iterator[Reason]:
+    """SCREEN_UNSURE where one sees through the screen and yet no bars were measured, unless the
+    check by single depths is sharp enough.
+
+    Under a bed of ore nothing of it is to be seen, and nothing is said.
+    """
+    if not np.isfinite(surface.sigma_z).any():
         return
-    where = (
-        f"{1000 * abs(moved.offset_m):.0f} mm {'above' if moved.offset_m > 0 else 'below'} their"
-        " place"
+    told, most = (
+        config.max_screen_offset * _sigma_m(surface, plane),
+        config.max_bar_shift * opening_m,
     )
-    text = f"the bars are measured {where}, turned by {np.degrees(moved.tilt_rad):.2f}°"
-    limit = f"up to {1000 * moved.worst_m:.0f} mm off, {1000 * most:.0f} mm may be corrected"
-    remedy = "was the camera moved, or is the calibration of another one?"
-    yield Reason("SCREEN_MOVED", f"{text} and {limit} (health.max_bar_shift): {remedy}")
+    if told > most and _open_share(surface, plane, grizzly) >= _LEAST_OPEN:
+        text = "one sees through the screen, but its bars can't be measured, and single depths tell"
+        yield _unsure(f"{text} its place to {1000 * told:.0f} mm only", most)
+
+
+def _unsure(text: str, wanted_m: float) -> Reason:
+    wanted = f"{1000 * wanted_m:.0f} mm are wanted (health.max_bar_shift)"
+    remedy = "is the lens dirty, the light poor, or the screen too far for this camera?"
+    return Reason("SCREEN_UNSURE", f"{text}, {wanted}: {remedy}")
 
 
 def deviation(
@@ -204,11 +239,17 @@ def _spread(xyz: F64) -> float:
 
 def _deviation(xyz: F64, seen: Plane, plane: Plane, surface: Surface) -> Deviation:
     middle = xyz.mean(0)
-    # A disparity's noise moves a point along its ray; what of that is along the normal is offset /
-    # z.
+    sigma = _sigma_m(surface, plane)
+    tilt = float(np.arccos(np.clip(seen.normal @ plane.normal, -1, 1)))
+    return Deviation(float(plane.height(middle)), tilt, sigma, sigma / _spread(xyz))
+
+
+def _sigma_m(surface: Surface, plane: Plane) -> float:
+    """Standard deviation [m] of the height of one depth over the plane, in the middle of them all.
+
+    A disparity's noise moves a point along its ray; what of that is along the normal is offset / z.
+    """
     share = surface.sigma_z / surface.xyz[..., 2]
     share = share[np.isfinite(share)]
     half = len(share) // 2
-    sigma = float(np.partition(share, half)[half]) * abs(plane.offset)
-    tilt = float(np.arccos(np.clip(seen.normal @ plane.normal, -1, 1)))
-    return Deviation(float(plane.height(middle)), tilt, sigma, sigma / _spread(xyz))
+    return float(np.partition(share, half)[half]) * abs(plane.offset)
