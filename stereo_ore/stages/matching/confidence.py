@@ -102,9 +102,9 @@ def pixel_features(
 
 def _scaled(name: str, image: F32) -> F32:
     if name.startswith("off"):
-        return np.arcsinh(3 * image)
+        return np.asarray(np.arcsinh(3 * image), np.float32)
     if name.startswith("scatter"):
-        return np.log(image + np.float32(0.05))
+        return np.asarray(np.log(image + np.float32(0.05)), np.float32)
     return image
 
 
