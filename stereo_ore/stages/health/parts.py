@@ -39,7 +39,7 @@ _INNER, _GAP, _WIDE = 0.7, 1.6, 1.15
 """Bars without their smeared edges, surely no bar, and bars with all of their edges [widths]."""
 _BAND, OFF_PX = 7, 0.6
 """Rows that are looked at together, and how far off the plane their bars are elsewhere."""
-SHARE, _CLEARER = 0.12, 1.5
+SHARE, _CLEARER = 0.12, 3.0
 """Share of the pixels on the comb that have one disparity, three bins wide; so many times those at
 the plane."""
 _TEETH = 2.0
