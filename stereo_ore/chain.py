@@ -131,7 +131,8 @@ class Chain:
         matched, (disparity, moved) = disparity, self._register(disparity)
         trace.reached("register", disparity)
         elsewhere = any(health.bar_doubts(moved, site.opening_m, config.health))
-        trace.check(health.eye_doubts, eyes, matched, config.health, None if elsewhere else moved)
+        bars, acting = None if elsewhere else moved, not self.withheld
+        trace.check(health.eye_doubts, eyes, matched, config.health, bars, acting)
         points = trace.reached("cloud", self._cloud(disparity, eyes))
         size_m = voxels.voxel_size(config.voxel, self.rig, site.volume, points)
         grid = voxels.voxelise(points, disparity, self.rig, size_m)
@@ -160,6 +161,7 @@ class Chain:
         trace.reached("segment", ore_map)
         solids = trace.reached("solids", solid.solids(surface, ore_map, screen, config.solid))
         plans = strike.plans(surface, ore_map, solids, screen, site, config.strike)
+        plans = health.without_blurred(plans, ore_map, matched, eyes, config.health)
         plans = trace.reached(
             "strikes", health.without_doubtful(plans, solids, ore_map, disparity, screen, parts)
         )

@@ -96,7 +96,7 @@ class Result:
         OutputError
             When the frame has no image.
         """
-        image = overlay.draw_overlay(self.frame)
+        image = overlay.draw_overlay(self.frame, record(self.frame, self.site))
         if image is None:
             problem = f"frame {self.name} has no image to draw on: {self._why()}"
             raise OutputError(problem)

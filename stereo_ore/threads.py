@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-CHUNK = 4096
+CHUNK = 8192
 """Rows worked on at a time: bounds the memory of temporaries, and keeps them in the processor's
-cache."""
+cache; with fewer of them threads mostly wait for Python's lock."""
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 _Result = TypeVar("_Result")

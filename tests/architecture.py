@@ -83,6 +83,7 @@ CORE = frozenset(
         "threads",
         "times",
         "engine",
+        "memory",
         "network",
         "stages",
         "version",

@@ -273,6 +273,35 @@ def test_a_slow_change_is_not_told() -> None:
     assert judged([line(i, valid=900 - 5 * i) for i in range(120)]) == [[]] * 120
 
 
+def registered(index: int, offset_m: float, sigma_m: float = 0.002) -> FrameLines:
+    """A frame whose bars were measured so far from their place."""
+    lines = line(index)
+    record = json.loads(lines.record)
+    moved = {"offset_m": offset_m, "worst_m": abs(offset_m) + 0.004, "sigma_m": sigma_m}
+    record["grizzly"] |= {"registration": moved, "openings_m": [0.3]}
+    return replace(lines, record=json.dumps(record))
+
+
+def drifting(offsets_m: Sequence[float], **other: float) -> list[int]:
+    """Frames that say SCREEN_DRIFTS; they keep their targets."""
+    watch = watching()
+    frames = [registered(index, offset, **other) for index, offset in enumerate(offsets_m)]
+    records = [json.loads(watch.judge(frame).record) for frame in frames]
+    assert all(record["status"] == "ok" for record in records)
+    codes = [[reason["code"] for reason in record["reasons"]] for record in records]
+    return [index for index, told in enumerate(codes) if told == ["SCREEN_DRIFTS"]]
+
+
+def test_bars_that_are_registered_ever_farther_from_where_they_were_are_told() -> None:
+    slow = [0.0002 * index for index in range(120)]
+    told = drifting(slow)
+    assert told
+    assert told == list(range(told[0], 120))
+    assert 0.012 < slow[told[0]] < 0.02
+    assert drifting(slow, sigma_m=0.02) == []
+    assert drifting([0.02 + 0.003 * (index % 3) for index in range(120)]) == []
+
+
 FRAMES = st.lists(
     st.tuples(
         st.sampled_from([900, 500, 100]),

@@ -5,13 +5,14 @@ import subprocess
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import yaml
 
 import stereo_ore as so
 from stereo_ore.chain import Chain
-from stereo_ore.draw.overlay import draw_overlay
+from stereo_ore.draw.overlay import draw_ground, draw_overlay
 from stereo_ore.io import calibration
 from stereo_ore.io.site import load_site
 from stereo_ore.plant.sinks.message import Origin, message
@@ -119,8 +120,22 @@ def test_what_would_be_a_target_is_hatched(tmp_path: Path) -> None:
     frame = detector.chain(pair)
     assert frame.withheld == ("NO_ARM_FRAME",)
     assert frame.ore_map is not None
-    hatched, plain = draw_overlay(frame), draw_overlay(replace(frame, withheld=()))
+    hatched, plain = draw_ground(frame), draw_ground(replace(frame, withheld=()))
     changed = (hatched != plain).any(-1)
     for ore in frame.ores:
         wanted = ore.oversize is not False and ore.strike is not None
         assert changed[frame.ore_map.labels == ore.id].any() == wanted
+
+
+def test_the_overlay_shows_the_targets_that_the_frames_before_leave(tmp_path: Path) -> None:
+    files, settings = (SCENE / "calibration.yaml", SCENE / "site.yaml"), ["order.confirm=2 of 2"]
+    detector = so.Detector.load(*files, settings=settings)
+    so.run(SCENE, detector, tmp_path / "out", clouds=False, report=False)
+    (record,) = map(json.loads, (tmp_path / "out" / "frames.jsonl").read_text().splitlines())
+    (pair,) = so.open_recording(SCENE)
+    result = detector(pair)
+    assert result.targets
+    assert record["targets"] == []
+    shown = cv2.imread(str(tmp_path / "out" / "overlays" / f"{record['frame']}.png"))
+    np.testing.assert_array_equal(shown, draw_overlay(result.frame, record))
+    assert (shown != result.overlay().image).any()

@@ -11,7 +11,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from stereo_ore import installation
+from stereo_ore import installation, memory
 from stereo_ore.cli.logs import JsonLines, LogFormat
 from stereo_ore.errors import OutputError, StereoOreError
 from stereo_ore.version import __version__
@@ -91,6 +91,7 @@ def load_verbs() -> None:
 
 def launch(arguments: list[str] | None = None) -> None:
     """Run the command line; known errors end as one line and exit code 1."""
+    memory.keep_freed()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(
             stream, TextIOWrapper

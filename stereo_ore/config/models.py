@@ -367,6 +367,9 @@ class HealthConfig(StageConfig):
     min_fine_detail: float = param(
         0.014, "energy of the finest detail in both eyes, over that of coarse detail", ge=0
     )
+    min_detail_ratio: float = param(
+        0.5, "detail of a lump in the eye that shows less of it, over the other's", ge=0, le=1
+    )
     max_screen_offset: float = param(
         4.0,
         "distance of the screen seen from the site's plane, in standard deviations of a depth",
@@ -382,6 +385,9 @@ class HealthConfig(StageConfig):
         le=0.5,
     )
     max_bar_shift_px: float = param(0.15, "or in disparity, where that is more", "px", ge=0, le=1)
+    max_bar_drift: float = param(
+        0.04, "change of their place over a run that is told, in openings", gt=0, le=0.5
+    )
     max_bad_rows: float = param(
         0.04, "share of the rows in which bars may be measured elsewhere", ge=0, le=1
     )

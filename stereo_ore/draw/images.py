@@ -7,8 +7,6 @@ import cv2
 from stereo_ore.types import U8
 
 PNG_SETTINGS = [
-    cv2.IMWRITE_PNG_COMPRESSION,
-    1,
     cv2.IMWRITE_PNG_STRATEGY,
     cv2.IMWRITE_PNG_STRATEGY_DEFAULT,
     # Trying all filters a row, as OpenCV 5 does unasked, doubles the time and saves nothing; OpenCV
@@ -22,6 +20,9 @@ PNG_SETTINGS = [
 """Fast rather than small: an overlay is looked at, then thrown away."""
 
 
-def encode_png(image: U8) -> bytes:
-    """Return a BGR image as a PNG file."""
-    return cv2.imencode(".png", image, PNG_SETTINGS)[1].tobytes()
+def encode_png(image: U8, level: int = 1) -> bytes:
+    """Return a BGR image as a PNG file; level 0 does not compress it, for one that is read again at
+    once.
+    """
+    settings = [cv2.IMWRITE_PNG_COMPRESSION, level, *PNG_SETTINGS]
+    return cv2.imencode(".png", image, settings)[1].tobytes()

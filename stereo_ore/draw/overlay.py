@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
 from stereo_ore.stages.order import PASSES_HOLE
-from stereo_ore.types import F64, I32, U8, ForeignBody, FrameResult, Mask, Ore, Rig
+from stereo_ore.types import F64, I32, U8, ForeignBody, FrameResult, Json, Mask, Rig
 
 _VERMILION, AMBER, _SKY, WHITE, BLACK, CYAN = (
     (0, 94, 235),
@@ -28,13 +30,28 @@ _Box = tuple[int, int, int, int]
 """Left, top, right, bottom [px]."""
 
 
-def draw_overlay(result: FrameResult) -> U8 | None:
-    """Outlines, centres of gravity (+), strikes (arrow) and labels of all lumps.
+Outlines = dict[int, list[I32]]
+"""Contours (K, 1, 2) [px] of each lump, by its id."""
+
+
+def draw_overlay(result: FrameResult, record: Json) -> U8 | None:
+    """The left image with outlines, centres of gravity (+), strikes (arrow) and labels of all lumps
+    of a frame's record.
 
     An oversize lump has a thick vermilion outline, one of unknown size a dashed yellow one, one
     that passes a thin blue one; what would be a target, were targets not withheld, is hatched. A
     label has the rank of a target (1 is first) before the id and size; labels lie on free ground,
     with a line to their lump where that is not beside it. None for a frame without an image.
+    """
+    image = draw_ground(result)
+    if image is not None and result.pair is not None:
+        draw_lumps(image, result.pair.rig, outlines(result), record)
+    return image
+
+
+def draw_ground(result: FrameResult) -> U8 | None:
+    """The part of `draw_overlay` that a frame alone says: image, foreign bodies, what is
+    withheld.
     """
     if result.pair is None:
         return None
@@ -43,24 +60,37 @@ def draw_overlay(result: FrameResult) -> U8 | None:
     for body in result.foreign:
         _draw_foreign(image, body, scale)
     _hatch_withheld(image, result, scale)
-    for ore in result.ores:
-        _draw_outline(image, result, ore, scale)
-    for ore in result.ores:
-        _draw_marks(image, result.pair.rig, ore, ore.id in result.targets[:1], scale)
-    taken = _draw_banner(image, result, scale)
-    rank = {id: place for place, id in enumerate(result.targets, 1)}
-    for ore in sorted(result.ores, key=lambda ore: rank.get(ore.id, len(rank) + ore.id)):
-        at = _pixel(result.pair.rig, ore.surface_centroid)
-        taken.append(_draw_label(image, _label(ore, rank.get(ore.id)), at, taken, scale))
     return image
 
 
-def _draw_outline(image: U8, result: FrameResult, ore: Ore, scale: float) -> None:
+def outlines(result: FrameResult) -> Outlines:
+    """Contours of the lumps in the left image."""
     if result.ore_map is None:
-        return
-    mask = (result.ore_map.labels == ore.id).astype(np.uint8)
-    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    oversize = None if ore.solid is None else ore.solid.oversize
+        return {}
+    masks = {ore.id: (result.ore_map.labels == ore.id).astype(np.uint8) for ore in result.ores}
+    method = cv2.CHAIN_APPROX_NONE
+    return {
+        id: list(cv2.findContours(mask, cv2.RETR_EXTERNAL, method)[0]) for id, mask in masks.items()
+    }
+
+
+def draw_lumps(image: U8, rig: Rig, contours: Outlines, record: Json) -> None:
+    """The part of `draw_overlay` that the frames before have a say in: lumps and targets, drawn
+    on the ground.
+    """
+    scale = image.shape[1] / 1280
+    for ore in record["ores"]:
+        _draw_outline(image, contours.get(ore["id"], []), ore["oversize"], scale)
+    for ore in record["ores"]:
+        _draw_marks(image, rig, ore, ore["id"] in record["targets"][:1], scale)
+    taken = _draw_banner(image, record, scale)
+    rank = {id: place for place, id in enumerate(record["targets"], 1)}
+    for ore in sorted(record["ores"], key=lambda o: rank.get(o["id"], len(rank) + o["id"])):
+        at = _pixel(rig, ore["surface_centroid"]["camera"])
+        taken.append(_draw_label(image, _label(ore, rank.get(ore["id"])), at, taken, scale))
+
+
+def _draw_outline(image: U8, contours: Sequence[I32], oversize: bool | None, scale: float) -> None:
     if oversize is None:
         dashes = [dash for contour in contours for dash in _dashes(contour, scale)]
         cv2.polylines(image, dashes, False, AMBER, max(1, round(2 * scale)), cv2.LINE_AA)
@@ -104,31 +134,23 @@ def _hatch_withheld(image: U8, result: FrameResult, scale: float) -> None:
     _hatch(image, np.isin(result.ore_map.labels, able), WHITE, scale, -1)
 
 
-def _draw_marks(image: U8, rig: Rig, ore: Ore, first: bool, scale: float) -> None:
-    if ore.solid is not None:
-        cv2.drawMarker(
-            image,
-            _pixel(rig, ore.solid.centre_of_gravity),
-            CYAN,
-            cv2.MARKER_CROSS,
-            round(16 * scale),
-            2,
-        )
-    if ore.plan.strikes:
-        strike = ore.plan.strikes[0]
-        tip, tail = strike.point, strike.point - _ARROW_LENGTH_M * strike.direction
+def _draw_marks(image: U8, rig: Rig, ore: Json, first: bool, scale: float) -> None:
+    if ore["centre_of_gravity"]:
+        at = _pixel(rig, ore["centre_of_gravity"]["camera"])
+        cv2.drawMarker(image, at, CYAN, cv2.MARKER_CROSS, round(16 * scale), 2)
+    if ore["strike"]:
+        tip, direction = (np.array(ore["strike"][key]["camera"]) for key in ("point", "direction"))
+        ends = (_pixel(rig, tip - _ARROW_LENGTH_M * direction), _pixel(rig, tip))
         thickness = max(1, round((3 if first else 2) * scale))
-        cv2.arrowedLine(
-            image, _pixel(rig, tail), _pixel(rig, tip), WHITE, thickness, cv2.LINE_AA, tipLength=0.3
-        )
-        cv2.circle(image, _pixel(rig, tip), round(4 * scale), WHITE, -1, cv2.LINE_AA)
+        cv2.arrowedLine(image, *ends, WHITE, thickness, cv2.LINE_AA, tipLength=0.3)
+        cv2.circle(image, ends[1], round(4 * scale), WHITE, -1, cv2.LINE_AA)
 
 
-def _label(ore: Ore, rank: int | None) -> str:
+def _label(ore: Json, rank: int | None) -> str:
     size = ""
-    if ore.solid is not None:
-        size = f" {1000 * ore.solid.size_m[0]:.0f}x{1000 * ore.solid.size_m[1]:.0f} mm"
-    return f"{'' if rank is None else f'[{rank}] '}{ore.id}{size}"
+    if ore["size_m"]:
+        size = f" {1000 * ore['size_m'][0]:.0f}x{1000 * ore['size_m'][1]:.0f} mm"
+    return f"{'' if rank is None else f'[{rank}] '}{ore['id']}{size}"
 
 
 def _draw_label(image: U8, text: str, at: tuple[int, int], taken: list[_Box], scale: float) -> _Box:
@@ -158,12 +180,12 @@ def _meet(one: _Box, other: _Box) -> bool:
     return one[0] < other[2] and other[0] < one[2] and one[1] < other[3] and other[1] < one[3]
 
 
-def _draw_banner(image: U8, result: FrameResult, scale: float) -> list[_Box]:
+def _draw_banner(image: U8, record: Json, scale: float) -> list[_Box]:
     """What is said of the whole frame, and where it is written."""
-    counts = result.counts
+    found = ", ".join(f"{record['counts'][name]} {name}" for name in ("ores", "targets"))
     lines = [
-        f"{result.name}: {result.status}, {counts['ores']} ores, {counts['targets']} targets",
-        *(reason.code for reason in result.reasons),
+        f"{record['frame']}: {record['status']}, {found}",
+        *(reason["code"] for reason in record["reasons"]),
     ]
     for row, line in enumerate(lines):
         draw_text(image, line, (round(10 * scale), round((24 + 22 * row) * scale)), scale)
@@ -182,6 +204,6 @@ def draw_text(image: U8, text: str, at: tuple[int, int], scale: float) -> None:
         )
 
 
-def _pixel(rig: Rig, point: F64) -> tuple[int, int]:
-    u, v = rig.project(point)
+def _pixel(rig: Rig, point: Sequence[float] | F64) -> tuple[int, int]:
+    u, v = rig.project(np.array(point))
     return (round(float(u)), round(float(v))) if np.isfinite(u) else (-1, -1)

@@ -170,7 +170,8 @@ class Inbox:
             folder = self._folders.get(name)
             if folder is None or base not in folder.handled:
                 continue
-            look = look_at(self._path(name, base))
+            # A path object would cost more than the look.
+            look = look_at(os.path.join(self.root, name, base))
             if look is not None and _is_another(look, folder.handled[base]):
                 del folder.handled[base]
                 folder.new.add(base)
@@ -188,7 +189,7 @@ def _is_another(look: Look, before: Look) -> bool:
     return look[0] > before[0] or look[1] != before[1]
 
 
-def look_at(file: Path) -> Look | None:
+def look_at(file: Path | str) -> Look | None:
     """What a file looks like; None for one that is gone. A link is what it points to."""
     try:
         seen = os.stat(file)

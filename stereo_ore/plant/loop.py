@@ -134,6 +134,11 @@ def _tell(record: Json, latency_s: float) -> None:
     )
 
 
+def _write(driver: Driver, result: FrameResult, lines: FrameLines) -> None:
+    driver.files.write(result)
+    driver.files.draw(lines, driver.chain.rig)
+
+
 def processing(driver: Driver, watch: Watch) -> Process:
     """Processing of live frames by an unattended driver, each judged by those before it."""
 
@@ -143,6 +148,6 @@ def processing(driver: Driver, watch: Watch) -> Process:
 
         result = driver.detect(frame.name, frame.index, read, frame.stamp)
         lines = watch.judge(frame_lines(result, driver.chain.site, frame.files))
-        return Done(lines, partial(driver.files.write, result))
+        return Done(lines, partial(_write, driver, result, lines))
 
     return process

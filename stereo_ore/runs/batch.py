@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from multiprocessing import get_context, parent_process
 
+from stereo_ore import memory
 from stereo_ore.errors import FrameError
 from stereo_ore.io.recordings import Source
 from stereo_ore.runs.ahead import ReadAhead
@@ -136,6 +137,7 @@ def _start_worker(job: Job) -> None:
     global _job
     _job = job
     cv2.setNumThreads(1)
+    memory.keep_freed()
     # A pool's worker waits for work for ever; when the run was killed nobody else tells it to go.
     threading.Thread(target=_end_with_parent, daemon=True).start()
 

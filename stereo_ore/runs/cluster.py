@@ -8,12 +8,10 @@ worker that does not see the same files says so before it does any work.
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import itertools
 import logging
 import pickle
 import socket
-import sys
 import threading
 import time
 import uuid
@@ -24,6 +22,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from stereo_ore import memory
 from stereo_ore.errors import ClusterError, MissingExtraError, StereoOreError
 from stereo_ore.io.atomic import write_bytes
 from stereo_ore.runs.batch import Job
@@ -49,11 +48,6 @@ nothing."""
 CHUNKS_AHEAD = 4
 """Chunks a worker that are under way: a bound on memory, and on how long others wait for one that
 is done again."""
-
-M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
-"""Parameters of glibc's mallopt(3)."""
-KEPT_BYTES, MOST_MMAP_BYTES = 256 << 20, 32 << 20
-"""Memory kept for the next frame, and the largest piece that glibc allows to be kept."""
 
 RESUME = "The same command with --resume continues"
 
@@ -245,20 +239,8 @@ def _open(envelope: Envelope) -> Job:
             f"worker on {socket.gethostname()} has {'; '.join(texts)}", remedy=remedy
         )
     cv2.setNumThreads(1)
-    _keep_memory()
+    memory.keep_freed()
     return job
-
-
-def _keep_memory() -> None:
-    """Let glibc keep freed memory up to `KEPT_BYTES`.
-
-    Dask's nanny makes it give back all at once (MALLOC_TRIM_THRESHOLD_), and then the pages of
-    every image are made anew: a third of a frame's time.
-    """
-    mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
-    if mallopt is not None:
-        mallopt(M_TRIM_THRESHOLD, KEPT_BYTES)
-        mallopt(M_MMAP_THRESHOLD, MOST_MMAP_BYTES)
 
 
 def _read(file: Path) -> bytes:

@@ -12,6 +12,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from stereo_ore.chain import Chain, no_counts
+from stereo_ore.draw import overlay
 from stereo_ore.errors import FrameError
 from stereo_ore.record import record, to_line
 from stereo_ore.runs.folder import FrameLines
@@ -84,7 +85,9 @@ def frame_lines(result: FrameResult, site: Site, inputs: Sequence[Path]) -> Fram
     timing = {"frame": result.name, "stages_ms": stages, "total_ms": total_ms}
     files = {str(path): sha256(path) for path in inputs}
     hashes = {"frame": result.name, "files": files, "images": fingerprints(result)}
-    return FrameLines(to_line(record(result, site)), json.dumps(timing), json.dumps(hashes))
+    outlines = None if result.pair is None else overlay.outlines(result)
+    lines = (to_line(record(result, site)), json.dumps(timing), json.dumps(hashes))
+    return FrameLines(*lines, outlines)
 
 
 def sha256(path: Path) -> str | None:

@@ -17,6 +17,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO
 
+from stereo_ore.draw.overlay import Outlines
 from stereo_ore.errors import OutputError
 from stereo_ore.io.atomic import (
     guarded,
@@ -40,11 +41,14 @@ WRITTEN = (*LINES, *(f"{name}.part" for name in LINES), *FRAME_FOLDERS, "run.jso
 
 @dataclass(frozen=True)
 class FrameLines:
-    """What one frame adds to the run's files: JSON objects a line each."""
+    """What one frame adds to the run's files: JSON objects a line each; and where its lumps are to
+    be drawn, None for a frame without an image.
+    """
 
     record: str
     timing: str
     inputs: str
+    outlines: Outlines | None = None
 
     def thinned(self) -> FrameLines:
         """The same without ores, and a reason that says so."""

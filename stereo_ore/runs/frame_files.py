@@ -5,20 +5,23 @@ space.
 from __future__ import annotations
 
 import io
+import json
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
 from stereo_ore.draw import overlay, scene_picture
 from stereo_ore.draw.images import encode_png
 from stereo_ore.io.atomic import write_bytes
+from stereo_ore.runs.folder import FrameLines
 from stereo_ore.transforms import transform_points
-from stereo_ore.types import F64, I32, U8, FrameResult, PointCloud, VoxelCloud
+from stereo_ore.types import F64, I32, U8, FrameResult, PointCloud, Rig, VoxelCloud
 
 NPZ_LEVEL = 1
 """Of zlib: as small as the usual 6 within a few per cent, in half the time."""
@@ -52,17 +55,34 @@ class FrameFiles:
     T_arm_camera: F64 | None = None
 
     def write(self, result: FrameResult) -> None:
-        """Write what the frame has and what is wanted: nothing for a frame that could not be
-        read.
+        """Write what the frame has and what is wanted: nothing for a frame that could not be read.
+
+        The overlay is the ground only, for `draw`.
         """
-        if self.overlays:
-            self._write_image("overlays", result.name, overlay.draw_overlay(result))
-        if self.pictures:
-            self._write_image("pictures", result.name, scene_picture.draw_scene(result))
+        if self.overlays and (ground := overlay.draw_ground(result)) is not None:
+            write_bytes(self._overlay(result.name), encode_png(ground, 0))
+        if self.pictures and (picture := scene_picture.draw_scene(result)) is not None:
+            write_bytes(self.folder / "pictures" / f"{result.name}.png", encode_png(picture))
         if result.filtered is not None and (self.clouds or self.T_arm_camera is not None):
             self._write_clouds(result.name, cloud_table(result))
         if self.save_stages and result.disparity is not None:
             write_bytes(self.folder / "stages" / f"{result.name}.npz", stages_npz(result))
+
+    def draw(self, lines: FrameLines, rig: Rig) -> None:
+        """Draw lumps and targets on the overlay of a frame whose lines its predecessors have
+        judged.
+        """
+        if not self.overlays or lines.outlines is None:
+            return
+        record = json.loads(lines.record)
+        path = self._overlay(record["frame"])
+        image = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_COLOR)
+        picture = np.asarray(image, np.uint8)
+        overlay.draw_lumps(picture, rig, lines.outlines, record)
+        write_bytes(path, encode_png(picture))
+
+    def _overlay(self, name: str) -> Path:
+        return self.folder / "overlays" / f"{name}.png"
 
     def _write_clouds(self, name: str, table: npt.NDArray[np.void]) -> None:
         if self.clouds:
@@ -70,10 +90,6 @@ class FrameFiles:
         if self.T_arm_camera is not None:
             data = cloud_ply(_moved(table, self.T_arm_camera), "arm frame")
             write_bytes(self.folder / ARM_CLOUDS / f"{name}.ply", data)
-
-    def _write_image(self, kind: str, name: str, image: U8 | None) -> None:
-        if image is not None:
-            write_bytes(self.folder / kind / f"{name}.png", encode_png(image))
 
 
 def cloud_table(result: FrameResult) -> npt.NDArray[np.void]:

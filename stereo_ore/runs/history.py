@@ -20,12 +20,14 @@ import numpy as np
 from stereo_ore.config import Config
 from stereo_ore.record import to_line
 from stereo_ore.runs.folder import FrameLines
-from stereo_ore.runs.tracks import Tracks
+from stereo_ore.runs.tracks import USABLE, Tracks
 from stereo_ore.threads import pool
-from stereo_ore.types import U8, FrameResult, Json, Reason, Site
+from stereo_ore.types import F64, U8, FrameResult, Json, Reason, Site
 
 FEWEST_GOOD = 5
 """Good frames that are needed to say what is usual."""
+_NOISES = 2.0
+"""Standard deviations of a frame's registration that are no drift."""
 
 
 def fingerprints(result: FrameResult) -> list[str] | None:
@@ -58,6 +60,8 @@ class Watch:
         self._good: deque[float] = deque(maxlen=config.health.history)
         self._images: deque[list[str]] = deque(maxlen=config.health.frozen_history)
         self._tracks = Tracks(config, site or Site())
+        self._bars_first: list[F64] = []
+        self._bars_last: deque[F64] = deque(maxlen=config.health.history)
         for lines in earlier:
             self._remember(json.loads(lines.record), _images(lines))
 
@@ -72,14 +76,19 @@ class Watch:
         )
         record = degraded(record, reasons) if reasons else self._tracks.follow(record)
         self._remember(record, images)
+        record = _remarked(record, self._drifted(record))
         return replace(lines, record=to_line(record))
 
     def _remember(self, record: Json, images: list[str] | None) -> None:
         if images:
             self._images.append(images)
         self._tracks.remember(record)
-        if record["status"] in ("ok", "empty"):
+        if record["status"] in USABLE:
             self._good.append(_valid_share(record))
+            if (bars := _bars_off(record)) is not None:
+                self._bars_last.append(bars)
+                if len(self._bars_first) < self._config.history:
+                    self._bars_first.append(bars)
 
     def _frozen(self, images: list[str] | None) -> Iterator[Reason]:
         if not (self._config.refuse_frozen and images):
@@ -98,6 +107,23 @@ class Watch:
                 )
                 yield Reason("FRAME_FROZEN", f"{text}: does the camera still deliver?")
                 return
+
+    def _drifted(self, record: Json) -> Iterator[Reason]:
+        """SCREEN_DRIFTS where the last frames have the bars elsewhere than the first, beyond noise.
+
+        Each frame is corrected; but somebody should look why that is.
+        """
+        if record["status"] not in USABLE or _bars_off(record) is None:
+            return
+        if len(self._bars_first) < FEWEST_GOOD or len(self._bars_last) < FEWEST_GOOD:
+            return
+        first, last = (np.median(bars, 0) for bars in (self._bars_first, list(self._bars_last)))
+        opening_m = record["grizzly"]["openings_m"][0]
+        change = float(np.abs(last[:2] - first[:2]).max())
+        if change > max(self._config.max_bar_drift * opening_m, _NOISES * last[2]):
+            text = f"the bars are {1000 * change:.0f} mm from where the first frames had them"
+            remedy = "it is corrected, but does the camera or the screen come loose?"
+            yield Reason("SCREEN_DRIFTS", f"{text} (health.max_bar_drift): {remedy}")
 
     def _fallen(self, record: Json) -> Iterator[Reason]:
         if len(self._good) < FEWEST_GOOD:
@@ -120,6 +146,23 @@ def _images(lines: FrameLines) -> list[str] | None:
 def _valid_share(record: Json) -> float:
     counts = record["counts"]
     return float(counts["disparities"] / max(counts["pixels"], 1))
+
+
+def _bars_off(record: Json) -> F64 | None:
+    """How far the bars were measured from their place: in the median, at most, and the deviation of
+    this [m]; None where they or their opening are not known.
+    """
+    grizzly = record["grizzly"] or {}
+    moved = grizzly.get("registration")
+    if not (moved and grizzly["openings_m"]):
+        return None
+    return np.array([moved[key] for key in ("offset_m", "worst_m", "sigma_m")])
+
+
+def _remarked(record: Json, remarks: Iterable[Reason]) -> Json:
+    """The record with reasons that take no target away."""
+    new = [{"code": reason.code, "detail": reason.detail} for reason in remarks]
+    return record | {"reasons": record["reasons"] + new} if new else record
 
 
 def degraded(record: Json, reasons: Iterable[Reason]) -> dict[str, Any]:

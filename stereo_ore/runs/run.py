@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
+from collections import deque
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from stereo_ore.chain import Chain
-from stereo_ore.errors import ConfigError, MissingExtraError, SourceError
+from stereo_ore.errors import ConfigError, MissingExtraError, SourceError, StereoOreError
 from stereo_ore.io.recordings import Source
 from stereo_ore.runs import batch, cluster
 from stereo_ore.runs.driver import Driver
-from stereo_ore.runs.folder import RunFolder
+from stereo_ore.runs.folder import FrameLines, RunFolder
 from stereo_ore.runs.frame_files import FrameFiles
 from stereo_ore.runs.history import Watch
 from stereo_ore.runs.identity import InputFiles, description, write_inputs
 from stereo_ore.stages import matching
+from stereo_ore.types import Rig
 
 _log = logging.getLogger(__name__)
 
@@ -122,9 +126,32 @@ def _do_frames(
             if scheduler
             else batch.run_in_batches(job, todo, options.workers)
         )
-        for count, lines in enumerate(each, done + 1):
-            folder.add(watch.judge(lines))
+        judged = map(watch.judge, each)
+        for count, lines in enumerate(_drawn(judged, job.driver.files, chain.rig), done + 1):
+            folder.add(lines)
             progress(count, total)
+
+
+def _drawn(judged: Iterator[FrameLines], files: FrameFiles, rig: Rig) -> Iterator[FrameLines]:
+    """The lines of frames whose overlays are drawn, while a thread draws those of the next."""
+    with ThreadPoolExecutor(1, "draw") as painter:
+        waiting: deque[tuple[FrameLines, Future[None]]] = deque()
+        fault: StereoOreError | None = None
+        try:
+            for lines in judged:
+                waiting.append((lines, painter.submit(files.draw, lines, rig)))
+                if len(waiting) > batch.WRITES_AHEAD:
+                    yield _when_drawn(*waiting.popleft())
+        except StereoOreError as error:
+            fault = error
+        yield from itertools.starmap(_when_drawn, waiting)
+        if fault:
+            raise fault
+
+
+def _when_drawn(lines: FrameLines, drawing: Future[None]) -> FrameLines:
+    drawing.result()
+    return lines
 
 
 @contextmanager

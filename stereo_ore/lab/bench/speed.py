@@ -14,6 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from stereo_ore import memory
 from stereo_ore.chain import Chain
 from stereo_ore.config import Config
 from stereo_ore.io import calibration
@@ -80,6 +81,7 @@ def measure_speed(size: str, scene: Path, site: bool, rounds: int) -> FrameCost:
 
 
 def _measure(size: str, scene: Path, site: bool, rounds: int) -> FrameCost:
+    memory.keep_freed()
     place = load_site(scene / "site.yaml") if site else Site()
     chain = Chain(calibration.load(scene / "calibration.yaml"), place, Config())
     with tempfile.TemporaryDirectory() as folder:
@@ -113,7 +115,10 @@ def _round(job: Job, plain: Mapping[str, Callable[[], object]]) -> dict[str, flo
     the other.
     """
     result, times = _frame(job)
-    times["files"] = _ms(lambda: job.driver.files.write(result))
+    lines, files = frame_lines(result, job.driver.chain.site, []), job.driver.files
+    times["files"] = _ms(lambda: files.write(result)) + _ms(
+        lambda: files.draw(lines, job.driver.chain.rig)
+    )
     return times | {name: _ms(task) for name, task in plain.items()}
 
 

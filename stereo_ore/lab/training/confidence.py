@@ -17,12 +17,12 @@ from stereo_ore.lab.bench.stereo_sets import StereoSet
 from stereo_ore.lab.training.networks import fit_network
 from stereo_ore.network import Network
 from stereo_ore.stages import matching
-from stereo_ore.stages.matching import confidence, consistency, light, sgbm
+from stereo_ore.stages.matching import confidence, consistency, light, relief, sgbm
 from stereo_ore.stages.matching.confidence import PIXEL_FEATURES, RIGHT_PX
 from stereo_ore.stages.matching.match import evidence, grey
 from stereo_ore.types import F32, U8, Mask, RectifiedPair
 
-_PIXELS, HIDDEN, EPOCHS, _FOLDS = 5000, 16, 16, 4
+_PIXELS, HIDDEN, EPOCHS, _FOLDS = 8000, 16, 16, 4
 """Pixels of a view that the network learns from, its units, how often it sees each, and folds of
 whole sets."""
 
@@ -119,7 +119,8 @@ def _view(data: StereoSet, fault: str, config: MatchingConfig, rng: np.random.Ge
         sgbm.crop(grey(data.pair.left), grey(data.pair.right), region), config
     )
     found = consistency.match_both(images, config, compared)
-    values, _, seen = evidence(images, found, confidence.context(found))
+    surface = relief.relief_cues(found.filled, found.valid)
+    values, _, seen = evidence(images, found, confidence.context(images, found, surface))
     error = values + np.float32(region.min_disparity) - data.truth[region.slices]
     at = rng.permutation(np.flatnonzero(found.valid & np.isfinite(error)))[:_PIXELS]
     features = np.column_stack([np.ravel(feature)[at] for feature in seen])

@@ -167,7 +167,13 @@ def _coarse_cell(xyz: F32, cells: int = 64) -> npt.NDArray[np.int64]:
 
 
 def _take(voxels: VoxelCloud, rows: I32) -> VoxelCloud:
-    taken = pool().map(lambda cue: cue[rows], voxels.cues.values())
+    # One block, whose memory comes in large pages; "clip" because else a copy is made first.
+    taken = np.empty((len(voxels.cues), len(rows)), np.float32)
+    list(
+        pool().map(
+            lambda cue, row: cue.take(rows, out=row, mode="clip"), voxels.cues.values(), taken
+        )
+    )
     return dataclasses.replace(
         voxels,
         xyz=voxels.xyz[rows],

@@ -5,6 +5,7 @@ Each judges one frame by itself, where the chain has reached what it needs; thos
 frames are in `runs/history.py`.
 """
 
+from stereo_ore.stages.health.detail import without_blurred
 from stereo_ore.stages.health.eyes import eye_doubts as eye_doubts
 from stereo_ore.stages.health.parts import judge_parts, row_doubts, without_doubtful
 from stereo_ore.stages.health.screen import bar_doubts, unmeasured_doubts
@@ -21,5 +22,6 @@ __all__ = [
     "row_doubts",
     "screen_doubts",
     "unmeasured_doubts",
+    "without_blurred",
     "without_doubtful",
 ]

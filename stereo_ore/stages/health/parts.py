@@ -39,12 +39,20 @@ _INNER, _GAP, _WIDE = 0.7, 1.6, 1.15
 """Bars without their smeared edges, surely no bar, and bars with all of their edges [widths]."""
 _BAND, OFF_PX = 7, 0.6
 """Rows that are looked at together, and how far off the plane their bars are elsewhere."""
-SHARE, _CLEARER = 0.12, 1.5
+SHARE, _CLEARER = 0.12, 3.0
 """Share of the pixels on the comb that have one disparity, three bins wide; so many times those at
 the plane."""
+_TEETH = 2.0
+"""So many times the share of the pixels beside the comb that have the same one."""
 THROUGH_PX, _OPEN = 1.5, 0.3
 """Share of the pixels beside the comb that lie so far beneath it: one sees through bars, not
 through ore."""
+_PHASES, _BENT = 24, 0.08
+"""Places of a pitch, and how many pitches beside the comb bars of a band of rows may be;"""
+_FEWEST_SEEN, _MOST_PHASES = 150, 0.8
+"""pixels of a band that tell of it, at so many of these places: bars along the rows do not;"""
+_CLEAR_GAIN, _CLEARER_BENT = 4.0, 1.3
+"""and how much better they must lie there: standard deviations of chance, and times as well."""
 _FEWEST = 40
 """Pixels on the comb, and beside it, that tell of a band."""
 ON_BARS, IN_ROWS = 0.7, 0.05
@@ -76,7 +84,7 @@ def judge_parts(
     screen : Grizzly
         Plane and bars.
     volume : Volume or None
-        Beyond it there are no bars, but the floor on which a table stands.
+        Whether bars are straight is judged within it.
     """
     if screen.bars is None or screen.source == "auto":
         return None
@@ -93,9 +101,9 @@ def judge_parts(
     )
     off_centre = np.abs(turns - np.round(turns)) * np.float32(2 * bars.pitch_m / bars.width_m)
     gap = off_centre > min(_GAP, 0.5 * (1 + bars.pitch_m / bars.width_m))
-    inside = _within(volume, x, y, depth)
-    rows_off = _elsewhere(excess, (off_centre < _INNER) & inside, gap & inside)
-    return Parts((off_centre < _WIDE) & inside, rows_off)
+    rows_off = _elsewhere(excess, off_centre < _INNER, gap)
+    rows_off |= _bent(excess, turns, _within(volume, x, y, depth))
+    return Parts(off_centre < _WIDE, rows_off)
 
 
 def _within(volume: Volume | None, x: F64, y: F64, depth: F32) -> Mask:
@@ -194,10 +202,45 @@ def _elsewhere(excess: F32, comb: Mask, gap: Mask) -> Mask:
     beneath = np.cumsum(beside, 1)
     below = beneath[np.arange(len(top)), level] + unseen
     gaps = beneath[:, -1] + unseen
+    level_too = (
+        cv2.blur(beside, (3, 1), borderType=cv2.BORDER_CONSTANT)[np.arange(len(top)), top] * 3
+    )
+    # A floor beside the screen has one disparity, too, on the comb and between its teeth.
+    teeth = most * gaps > _TEETH * level_too * total
     seen = (
         (total >= _FEWEST) & (gaps >= _FEWEST) & (most > SHARE * total) & (most > _CLEARER * here)
     )
-    return np.asarray(seen & (np.abs(shift) > OFF_PX) & (below > _OPEN * gaps))
+    return np.asarray(seen & teeth & (np.abs(shift) > OFF_PX) & (below > _OPEN * gaps))
+
+
+def _bent(excess: F32, turns: F32, inside: Mask) -> Mask:
+    """Rows (h,) in whose band the bars are solid, and their gaps open, beside the comb: rows that
+    swing alike in both eyes leave disparities as they are, and bars no longer straight.
+
+    `turns` (h, w) are places across the bars in pitches. What is solid and open is folded by them,
+    and each band's fold laid over that of all.
+    """
+    signal = (np.abs(excess) < OFF_PX).astype(np.float32) - (excess < -THROUGH_PX)
+    v, u = np.nonzero(inside & (signal != 0))
+    place = v * _PHASES + ((turns[v, u] % 1) * _PHASES).astype(np.intp) % _PHASES
+    shape, size = (len(excess), _PHASES), len(excess) * _PHASES
+    total, count = (
+        _banded(np.bincount(place, weights, size).reshape(shape).astype(np.float32))
+        for weights in (signal[v, u], np.ones(len(v)))
+    )
+    all_rows = total.sum(0) / np.maximum(count.sum(0), 1)
+    all_rows -= all_rows.mean()
+    seen = count.sum(1)
+    total -= count * (total.sum(1) / np.maximum(seen, 1))[:, None]
+    shifted = np.stack([np.roll(all_rows, shift) for shift in range(_PHASES)])
+    likeness = np.einsum("vp,sp->vs", total, shifted)
+    shift = likeness.argmax(1)
+    gain = likeness.max(1) - likeness[:, 0]
+    chance = np.sqrt(seen * np.mean(all_rows**2))
+    judged = (seen > _FEWEST_SEEN) & ((count >= 2).mean(1) > _MOST_PHASES)
+    clear = (gain > _CLEAR_GAIN * chance) & (likeness.max(1) > _CLEARER_BENT * likeness[:, 0])
+    far = np.minimum(shift, _PHASES - shift) > _BENT * _PHASES
+    return np.asarray(judged & clear & far)
 
 
 def _by_row(index: I32, part: Mask) -> F32:

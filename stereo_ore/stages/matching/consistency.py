@@ -31,6 +31,16 @@ class Agreement:
     texture: F32
     valid: Mask
 
+    @property
+    def matched(self) -> I16:
+        """Disparity as matched [px / 16], 0 where it is not valid, (h, w)."""
+        return self.left * self.valid
+
+    @property
+    def filled(self) -> F32:
+        """The same in px."""
+        return sgbm.to_px(self.matched)
+
     def rows(self, rows: slice) -> Agreement:
         """Some of its rows."""
         return Agreement(

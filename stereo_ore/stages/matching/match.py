@@ -4,6 +4,7 @@ what is doubtful.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -48,7 +49,8 @@ def match(pair: RectifiedPair, region: Region, config: MatchingConfig) -> Dispar
     """
     images, compared = light.evened(sgbm.crop(grey(pair.left), grey(pair.right), region), config)
     found = consistency.match_both(images, config, compared)
-    measured = _measure(images, found)
+    surface = relief.relief_cues(found.filled, found.valid)
+    measured = _measure(images, found, surface)
     matched = found.left >= 0
     textured = matched & (found.texture >= np.float32(config.min_texture))
     sure = found.valid & (measured.confidence >= np.float32(config.min_confidence))
@@ -58,9 +60,9 @@ def match(pair: RectifiedPair, region: Region, config: MatchingConfig) -> Dispar
     offset = np.float32(region.min_disparity + pair.rig.disparity_offset_px)
     np.copyto(values[region.slices], measured.values + offset, where=sure)
     np.copyto(chances[region.slices], measured.confidence, where=sure)
-    doubts = measured.cues | relief.relief_cues(values[region.slices], sure)
     masks = {"matched": matched, "textured": textured, "disparities": sure}
     counts = {name: int(mask.sum()) for name, mask in masks.items()}
+    doubts = measured.cues | surface
     return Disparity(values, region, chances, doubts, search_saved(pair.rig, region) | counts)
 
 
@@ -75,12 +77,12 @@ class _Measured:
     cues: dict[str, F32]
 
 
-def _measure(images: sgbm.Crop, found: Agreement) -> _Measured:
+def _measure(images: sgbm.Crop, found: Agreement, surface: Mapping[str, F32]) -> _Measured:
     shape = found.left.shape
     # One block: memory for many images costs more time to get than to fill.
     values, chances, *rest = np.empty((len(PIXEL_CUES) + 2, *shape), np.float32)
     doubts = dict(zip(PIXEL_CUES, rest, strict=True))
-    context = confidence.context(found)
+    context = confidence.context(images, found, surface)
 
     def measure(rows: slice, core: slice, band: slice) -> None:
         near = [image[rows] for image in context]
@@ -109,8 +111,7 @@ def evidence(
     context : list
         From `confidence.context`.
     """
-    around, matched = windows.support(found.valid), found.left * found.valid
-    filled = sgbm.to_px(matched)
+    around, matched, filled = windows.support(found.valid), found.matched, found.filled
     refined = subpixel.refine_disparity(images, filled, around)
     seen = cues.pixel_cues(found, matched, around, refined.residual)
     return refined.values, seen, confidence.pixel_features(seen, context, refined.residual, filled)

@@ -1,8 +1,8 @@
-"""How a disparity stands to the surface around it: planes in disparity space, fitted on reduced
-copies.
+"""How a disparity stands to the surface around it, on reduced copies: to planes in disparity space,
+and to what looks alike.
 
 A patch of wrong disparities is smooth inside; planes over wider windows show that it stands off
-what is around it.
+what is around it. Where a surface ends, brightness tells which side a pixel belongs to.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from stereo_ore.threads import pool
-from stereo_ore.types import F32, RELIEF_WINDOWS_PX, Mask
+from stereo_ore.types import F32, RELIEF_WINDOWS_PX, U8, Mask
 
 REDUCTIONS = {14: 2, 36: 4, 72: 8}
 """How far the image is reduced for each window: sums over some seven pixels of a copy tell as much
@@ -24,6 +24,12 @@ _RIDGE = 0.3
 
 _LEAST = np.float32(1e-3)
 """Added to weights before a division."""
+
+ALIKE_PX, _HALVED = 10, 2
+"""Window in which disparity is foretold from brightness, and how far the image is reduced."""
+
+_CONTRAST = 50.0
+"""Variance of brightness [grey levels²] in a window from which on it foretells disparity."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +83,39 @@ def relief_cues(values: F32, valid: Mask) -> dict[str, F32]:
     return {
         name: cue for found in pool().map(cues, RELIEF_WINDOWS_PX) for name, cue in found.items()
     }
+
+
+def off_alike(values: F32, valid: Mask, grey: U8) -> F32:
+    """Disparity less what brightness foretells of it in a window of `ALIKE_PX`, (h, w) float32.
+
+    The guided filter (He, Sun & Tang 2010) over valid pixels, on a halved copy: d ≈ a·I + b in each
+    window, and the mean of a and b over the windows that hold a pixel. A pixel that was given the
+    disparity of a surface in front, but looks like what is behind, stands off.
+
+    Parameters
+    ----------
+    values : (h, w) float32
+        Disparities [px], 0 where not valid.
+    valid : (h, w) bool
+    grey : (h, w) uint8
+        The image of the same eye.
+    """
+    weight = valid.astype(np.float32)
+    w, d, i = (_reduce(x, _HALVED) for x in (weight, values, grey.astype(np.float32)))
+    wi = w * i
+    each = np.float32(1) / (_mean(w) + _LEAST)
+    mean_i, mean_d = _mean(wi) * each, _mean(d) * each
+    slope = _mean(d * i) * each - mean_i * mean_d
+    slope /= _mean(wi * i) * each - mean_i * mean_i + np.float32(_CONTRAST)
+    level = mean_d - slope * mean_i
+    slope, level = (_enlarge(_mean(x * w) * each, values.shape) for x in (slope, level))
+    slope *= grey
+    return (values - slope - level) * weight
+
+
+def _mean(image: F32) -> F32:
+    side = ALIKE_PX // _HALVED | 1
+    return np.asarray(cv2.blur(image, (side, side), borderType=cv2.BORDER_REFLECT), np.float32)
 
 
 def _planes(centred: F32, weight: F32, reduction: int, window: int) -> Level:
