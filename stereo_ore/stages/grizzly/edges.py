@@ -25,7 +25,7 @@ narrower."""
 CLEAR = 4.5
 """Contrast of the two edges over the root mean square of the fold: chance makes at most about four
 of it."""
-_AS_CLEAR, _FIRST, _BESIDE = 0.5, 0.85, 0.75
+_AS_CLEAR, _FIRST, _BESIDE = 0.8, 0.85, 0.75
 """Contrast of bars across over that of the bars, of the one with the least pitch over that of the
 clearest, and widths beside a bar from which on they are looked for."""
 _PITCHES, _SEARCHED = 400, 60_000
