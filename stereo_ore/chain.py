@@ -131,7 +131,8 @@ class Chain:
         matched, (disparity, moved) = disparity, self._register(disparity)
         trace.reached("register", disparity)
         elsewhere = any(health.bar_doubts(moved, site.opening_m, config.health))
-        trace.check(health.eye_doubts, eyes, matched, config.health, None if elsewhere else moved)
+        bars, acting = None if elsewhere else moved, not self.withheld
+        trace.check(health.eye_doubts, eyes, matched, config.health, bars, acting)
         points = trace.reached("cloud", self._cloud(disparity, eyes))
         size_m = voxels.voxel_size(config.voxel, self.rig, site.volume, points)
         grid = voxels.voxelise(points, disparity, self.rig, size_m)

@@ -1,5 +1,7 @@
 """Eyes that are swapped, covered, turned or of different moments never give a target."""
 
+import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -7,10 +9,15 @@ import numpy as np
 import pytest
 
 from stereo_ore.chain import Chain
+from stereo_ore.config import Config
+from stereo_ore.io import recordings
 from stereo_ore.io.calibration import load
 from stereo_ore.io.parameters import load_config
 from stereo_ore.io.site import load_site
-from stereo_ore.types import U8, StereoPair
+from stereo_ore.lab.bench import stereo_sets
+from stereo_ore.stages import matching, rectify
+from stereo_ore.stages.health import eye_doubts
+from stereo_ore.types import U8, RectifiedPair, Rig, StereoPair
 
 DATA = Path(__file__).parents[1] / "data"
 SCENE = DATA / "large_02"
@@ -103,3 +110,64 @@ def test_rows_far_apart_are_told(rows: int, chain: Chain, left: U8, right: U8) -
     result = chain(StereoPair(left, np.roll(right, rows, axis=0), name="0", index=0))
     assert "ROWS_DISAGREE" in [reason.code for reason in result.reasons]
     assert result.targets == ()
+
+
+def photograph(shared: Path, name: str) -> RectifiedPair:
+    """A real rectified pair; its focal length as its makers say."""
+    if name == "zed":
+        files = [shared / "zed_pair" / f"{side}.png" for side in ("left", "right")]
+    elif (shared / "oakd" / f"{name}_left.png").exists():
+        files = [shared / "oakd" / f"{name}_{side}.png" for side in ("left", "right")]
+    else:
+        folder = shared / "stereo_gt" / "middlebury_v3_quarter" / name
+        return stereo_sets.middlebury(folder).pair
+    eyes = [np.asarray(cv2.imread(str(file)), np.uint8) for file in files]
+    height, width = eyes[0].shape[:2]
+    focal = 1068.0 if name == "zed" else 451.03
+    return RectifiedPair(*eyes, Rig(width, height, focal, focal, width / 2, height / 2, 0.1))
+
+
+def doubts(pair: RectifiedPair, acting: bool = False) -> list[str]:
+    config = Config()
+    region = matching.find_region(pair.rig, None, config.matching)
+    region = matching.narrow(pair, region, None, config.matching)
+    disparity = matching.match(pair, region, config.matching)
+    return [r.code for r in eye_doubts(pair, disparity, config.health, acting=acting)]
+
+
+OAKD = ("corridor", "cycles", "desk", "donkey_toy", "stairs", "toy")
+
+
+@pytest.mark.parametrize("name", [*OAKD, "zed", "Adirondack", "Motorcycle", "Recycle", "Teddy"])
+def test_photographs_raise_no_alarm_where_no_target_can_follow(
+    name: str, shared_data: Path
+) -> None:
+    assert doubts(photograph(shared_data, name)) == []
+
+
+def test_rows_that_differ_as_on_a_camera_sold_are_told_where_a_target_can_follow(
+    shared_data: Path,
+) -> None:
+    assert doubts(photograph(shared_data, "cycles"), acting=True) == ["ROWS_DISAGREE"]
+
+
+@pytest.mark.parametrize("name", ["cycles", "zed", "Teddy"])
+@pytest.mark.parametrize("fault", ["rows", "moment"])
+def test_faults_planted_in_photographs_are_told_all_the_same(
+    name: str, fault: str, shared_data: Path
+) -> None:
+    pair = photograph(shared_data, name)
+    right = np.roll(pair.right, 2, axis=0) if fault == "rows" else pair.right[:, ::-1]
+    told = "ROWS_DISAGREE" if fault == "rows" else "EYES_DISAGREE"
+    assert told in doubts(replace(pair, right=np.ascontiguousarray(right)))
+
+
+def test_boards_are_no_rows_apart(shared_data: Path, tmp_path: Path) -> None:
+    """A chessboard looks alike in many rows, and fills the view nearer than the range reaches."""
+    boards, file = shared_data / "boards" / "opencv", tmp_path / "camera.yaml"
+    words = ["stereo-ore", "calibrate", "stereo", boards, "--board", "9x6", "--square-mm", "25"]
+    subprocess.run([*words, "--out", file], capture_output=True, check=True)
+    source, rectifier = recordings.open_source(boards), rectify.make_rectifier(load(file))
+    for index in range(13):
+        told = doubts(rectify.rectify(source.read(index), rectifier))
+        assert set(told) <= {"FEW_DISPARITIES"}, index

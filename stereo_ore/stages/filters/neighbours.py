@@ -17,7 +17,7 @@ from stereo_ore.types import F32
 TINY = np.finfo(np.float32).tiny
 Index = npt.NDArray[np.integer[Any]]
 
-EXACT_TREE = {"algorithm": 4, "leaf_max_size": 10, "reorder": True}
+EXACT_TREE = {"algorithm": 4, "leaf_max_size": 20, "reorder": True}
 """FLANN's single k-d tree, which is exact."""
 
 Search = Callable[[F32, int], tuple[Index, F32]]

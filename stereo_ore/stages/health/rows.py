@@ -41,9 +41,11 @@ as well."""
 PATCHES, _PATCH_PX, ROWS_PX, WIDTH_PX = 12, 15, 8, 672
 """So many patches a strip, of this side, are looked for so far up and down, in images of about this
 width."""
-FEWEST_PATCHES, PEAK_PX, _CLEARER = 6, 2, 0.7
-"""Patches needed for a median. One counts where its unlikeness [1 − correlation] is so much less
-than any farther from its row than this: along a bar all rows look alike."""
+FEWEST_PATCHES, _SMOOTH_PX, PEAK_PX, _CLEARER = 6, 1.0, 2, 0.7
+"""Patches needed for a median, and by how much neighbours may differ: what a calibration does is
+smooth; rows that are found by chance, as on a chessboard, jump. A patch counts where its unlikeness
+[1 − correlation] is so much less than any farther from its row than this: along a bar all rows look
+alike."""
 
 
 @dataclass(frozen=True)
@@ -259,7 +261,7 @@ def _far_shift(left: U8, right: U8, patches: F64, region: Region) -> float:
         region.min_disparity // scale - 1,
     )
     half, rows = _PATCH_PX // 2, _PATCH_PX // 2 + ROWS_PX
-    found = []
+    found: list[float] = []
     for u, v in (patches / scale).astype(int):
         patch = one[v - half : v + half + 1, max(u - half, 0) : u + half + 1]
         area = other[
@@ -278,7 +280,9 @@ def _far_shift(left: U8, right: U8, patches: F64, region: Region) -> float:
         )
         if (row := _clear_peak(likeness)) is not None:
             found.append(row - ROWS_PX)
-    return scale * float(np.median(np.abs(found))) if len(found) >= FEWEST_PATCHES else 0.0
+    if len(found) < FEWEST_PATCHES or np.median(np.abs(np.diff(found))) > _SMOOTH_PX:
+        return 0.0
+    return float(scale * np.median(np.abs(found)))
 
 
 def _clear_peak(likeness: F64) -> float | None:

@@ -116,8 +116,10 @@ def with_like_brightness(images: Crop) -> Crop:
     gamma.
     """
     first, last = images.right_columns
+    # Exact up to 2^24 pixels, and many times faster than `np.bincount`.
     own, other = (
-        np.bincount(x.ravel(), minlength=256) for x in (images.right[:, first:last], images.inner)
+        cv2.calcHist([image], [0], None, [256], [0, 256]).ravel().astype(np.int64)
+        for image in (images.right[:, first:last], images.inner)
     )
     shares = [np.cumsum(count) / count.sum() for count in (own, other)]
     levels = np.arange(256)
