@@ -227,3 +227,19 @@ def test_parallel_bars_are_no_grid(site: Site) -> None:
     assert found.cross_bars is None
     assert found.openings_m is not None
     assert len(found.openings_m) == 1
+
+
+def test_bars_across_that_depth_does_not_tell_are_found_in_the_image() -> None:
+    screen = Screen(tilt=0.2, yaw=0.5, half=0.7, noise_px=0.1, cross=0.21)
+    surface, _ = draw(screen)
+    found = grizzly.find(surface, Site(plane=screen.plane), CONFIG)
+    alone = replace(found, cross_bars=None)
+    site = grizzly.with_crossing(alone, surface, Site(), CONFIG)
+    assert sorted((site.opening_m, site.cross_opening_m)) == pytest.approx(
+        [OPENING, 0.21], rel=0.04
+    )
+    assert grizzly.with_crossing(found, surface, Site(), CONFIG) == Site()
+    slots, _ = draw(replace(screen, cross=None))
+    assert (
+        grizzly.with_crossing(grizzly.find(slots, Site(), CONFIG), slots, Site(), CONFIG) == Site()
+    )

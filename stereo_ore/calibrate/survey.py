@@ -93,6 +93,7 @@ def _refined(
     """The screen found, and its plane then measured on the bars as each frame of a run does."""
     screen = _first(disparity, pair, known, config)
     surface = _surface(disparity, pair, known, config)
+    known = grizzly.with_crossing(screen, surface, known, config.grizzly)
     site = _site(surface, screen, known, config, height_m)
     for _ in range(REFINEMENTS):
         assert site.plane is not None, "a screen has one"
@@ -154,7 +155,7 @@ def _site(
         known,
         plane=screen.plane,
         opening_m=opening,
-        cross_opening_m=screen.cross_opening_m,
+        cross_opening_m=screen.cross_opening_m or known.cross_opening_m,
         bar_width_m=bars.width_m,
         volume=volume,
     )

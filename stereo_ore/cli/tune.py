@@ -4,6 +4,7 @@ scorer.
 
 from __future__ import annotations
 
+import itertools
 import logging
 import sys
 from collections.abc import Iterator
@@ -193,30 +194,21 @@ def _train_ore(seeds: range, material: _Material, out: Path) -> Path:
 
 def _train_solids(seeds: range, material: _Material) -> str:
     """JSON of the solids' shape prior; its errors on scenes left out of the fit are logged."""
-    from stereo_ore.lab.training import shape_prior, solids
+    from stereo_ore.lab.training import casts, shape_prior, solids
 
-    folders = [
-        sample for folder in material.scenes for sample in solids.samples(solids.recorded(folder))
-    ]
-    first = solids.FIRST_SEED
-    made = map(solids.made_solids, range(first, first + len(seeds)))
-    found = [
-        *folders,
-        *(s for scene in _watched(made, len(seeds), "scenes") for s in solids.samples(scene)),
-    ]
+    found = [sample for folder in material.scenes for sample in solids.recorded(folder)]
+    made = map(casts.made_up, range(casts.FIRST_SEED, casts.FIRST_SEED + len(seeds)))
+    found += itertools.chain.from_iterable(_watched(made, len(seeds), "screens"))
     if not found:
         raise ConfigError("no lump was found", key="--seeds", remedy="Give more seeds or scenes")
     prior, errors = shape_prior.train_prior(found)
-    for name, recorded in ("scene folders", True), ("made-up scenes", False):
+    for name, recorded in ("scene folders", True), ("made-up screens", False):
         rows = [
             i for i, s in enumerate(found) if s.seen_as == "measured" and s.recorded is recorded
         ]
         if rows:
-            _log.info(
-                "%s left out: %s",
-                name,
-                shape_prior.prior_quality([found[i] for i in rows], errors[rows], prior),
-            )
+            quality = shape_prior.prior_quality([found[i] for i in rows], errors[rows])
+            _log.info("%s left out: %s", name, quality)
     return prior.to_json()
 
 

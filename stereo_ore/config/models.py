@@ -252,7 +252,7 @@ class SolidConfig(StageConfig):
 
     min_points: int = param(30, "lumps with fewer visible points get no solid", ge=4)
     oversize_margin: float = param(
-        0.03, "share of the opening within which oversize is unknown", ge=0, le=0.5
+        0.03, "least share of the opening within which oversize is unknown", ge=0, le=0.5
     )
     volume_sigmas: float = param(
         2.0, "half width of the volume's bounds in standard deviations of its logarithm", gt=0

@@ -18,7 +18,7 @@ from scipy.optimize import linear_sum_assignment
 from stereo_ore.config import Config
 from stereo_ore.record import number
 from stereo_ore.stages.order import PASSES_HOLE, calmly, is_wanted, urgencies
-from stereo_ore.stages.solid import is_oversize
+from stereo_ore.stages.solid import is_oversize, unknown_within
 from stereo_ore.types import Json, Site
 
 SAME_M, SAME_SHARE = 0.03, 0.03
@@ -34,8 +34,8 @@ STILL_M, STILL_SHARE = 0.01, 0.01
 """A centre of gravity farther than this, or this share of the distance, from the mean is that of a
 lump that slid: its mean begins anew, so that no target lags behind its lump."""
 CALM = (1.0, 0.5, 1.5)
-"""Shares of `solid.oversize_margin` at one of which a flag must hold to stay as it is; the first
-decides where none does."""
+"""Shares of the margin (`unknown_within`) at one of which a flag must hold to stay as it is; the
+first decides where none does."""
 _WITHIN = 1.2
 """A place is in a lump's box, made larger by this factor."""
 USABLE = ("ok", "empty")
@@ -70,7 +70,7 @@ class Tracks:
     """
 
     def __init__(self, config: Config, site: Site) -> None:
-        self._order, self._margin, self._site = config.order, config.solid.oversize_margin, site
+        self._order, self._solid, self._site = config.order, config.solid, site
         self._wanted, self._window = config.order.confirming
         self._tracks: tuple[LumpTrack, ...] = ()
         self._before: dict[int, int] = {}
@@ -145,9 +145,9 @@ class Tracks:
             return fused
         openings = record["grizzly"]["openings_m"]
         openings = None if openings is None else tuple(openings)
+        margin = unknown_within(fused["volume_bounds_m3"], self._solid)
         flags = [
-            is_oversize(fused["size_m"], openings, fused["cut"], share * self._margin)
-            for share in CALM
+            is_oversize(fused["size_m"], openings, fused["cut"], share * margin) for share in CALM
         ]
         flag = track.ore["oversize"] if track.ore["oversize"] in flags else flags[0]
         reasons = [reason for reason in fused["reasons"] if reason["code"] != PASSES_HOLE.code]

@@ -133,7 +133,7 @@ def cleared(ore_map: OreMap, foreign: Foreign, surface: Surface) -> OreMap:
     labels = ore_map.labels.copy()
     crop = labels[surface.y0 : surface.y0 + h, surface.x0 : surface.x0 + w]
     count = int(labels.max(initial=0))
-    whole = np.bincount(labels.ravel(), minlength=count + 1)
+    whole = np.bincount(crop.ravel(), minlength=count + 1)
     lost = np.bincount(crop[foreign.mask], minlength=count + 1)
     crop[foreign.mask] = 0
     kept = lost < MOST_OF * np.maximum(whole, 1)
@@ -141,7 +141,8 @@ def cleared(ore_map: OreMap, foreign: Foreign, surface: Surface) -> OreMap:
     number = np.where(kept, np.cumsum(kept), 0).astype(np.int16)
     told = {**ore_map.diagnostics, "dropped_foreign": int(count - kept.sum())}
     cut = frozenset(int(number[id]) for id in ore_map.cut if number[id])
-    return OreMap(np.asarray(number[labels], np.int16), cut, told)
+    crop[:] = number[crop]
+    return OreMap(labels, cut, told)
 
 
 def clear_of(

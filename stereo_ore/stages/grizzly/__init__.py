@@ -12,14 +12,14 @@ import numpy as np
 from stereo_ore.config import GrizzlyConfig
 from stereo_ore.errors import FrameError
 from stereo_ore.stages.grizzly.bars import BarFit, fit_bars
-from stereo_ore.stages.grizzly.edges import sharpened
+from stereo_ore.stages.grizzly.edges import crossing, sharpened
 from stereo_ore.stages.grizzly.extent import extent, over
 from stereo_ore.stages.grizzly.plane import candidate_planes, refine_plane, residual
 from stereo_ore.stages.grizzly.registration import corrected, plane_of, register
 from stereo_ore.stages.grizzly.sample import Sample, draw_sample, tolerances
 from stereo_ore.types import Grizzly, Plane, Site, Surface
 
-__all__ = ["corrected", "extent", "find", "over", "plane_of", "register"]
+__all__ = ["corrected", "extent", "find", "over", "plane_of", "register", "with_crossing"]
 
 MIN_POINTS = 200
 CLEAR_CONTRAST = 0.25
@@ -67,6 +67,25 @@ def _sharp(found: Grizzly, surface: Surface, site: Site, config: GrizzlyConfig) 
         cross = across or (cross if site.cross_opening_m is not None else None)
     screen = replace(found, bars=bars or found.bars, cross_bars=cross, diagnostics=diagnostics)
     return _with_openings(screen, site)
+
+
+def with_crossing(screen: Grizzly, surface: Surface, site: Site, config: GrizzlyConfig) -> Site:
+    """The site with the holes of a screen that only the image shows to be a grid; else as it was.
+
+    For surveys: it takes the time of a frame.
+    """
+    if site.opening_m is not None or screen.bars is None or screen.cross_bars is not None:
+        return site
+    cross = crossing(surface, screen, tolerances(surface.sigma_z, config))
+    if cross is None:
+        return site
+    width = screen.bars.width_m
+    return replace(
+        site,
+        opening_m=screen.bars.pitch_m - width,
+        cross_opening_m=cross.pitch_m - width,
+        bar_width_m=width,
+    )
 
 
 def _with_openings(screen: Grizzly, site: Site) -> Grizzly:

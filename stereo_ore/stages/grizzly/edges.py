@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+from stereo_ore.stages.grizzly.bars import MOST_OBLONG
 from stereo_ore.types import F32, F64, Bars, Grizzly, Mask, Surface
 
 _BINS, SMOOTHING = 240, 2.0
@@ -24,6 +25,11 @@ narrower."""
 CLEAR = 4.5
 """Contrast of the two edges over the root mean square of the fold: chance makes at most about four
 of it."""
+_AS_CLEAR, _FIRST, _BESIDE = 0.8, 0.85, 0.75
+"""Contrast of bars across over that of the bars, of the one with the least pitch over that of the
+clearest, and widths beside a bar from which on they are looked for."""
+_PITCHES, _SEARCHED = 400, 60_000
+"""Pitches tried, and pixels looked at."""
 STRONGEST = 20.0
 """Grey levels a pixel beyond which an edge counts no more: one glint must not outvote a bar."""
 
@@ -57,6 +63,42 @@ def sharpened(surface: Surface, grizzly: Grizzly, tolerance: F32) -> Bars | None
     if not contrast > CLEAR * float(np.sqrt(np.mean(fold**2))):
         return None
     return replace(bars, width_m=width * bars.pitch_m, phase_m=bars.phase_m + middle * bars.pitch_m)
+
+
+def crossing(surface: Surface, grizzly: Grizzly, tolerance: F32) -> Bars | None:
+    """Bars across those of a screen, as wide and as clear in the image, or None.
+
+    For few pixels a bar: depth smears them until it tells nothing of the holes' ends. Slow, since
+    their pitch is searched for as well; parameters are those of `sharpened`.
+    """
+    if (bars := grizzly.bars) is None:
+        return None
+    across, along = _in_plane(surface, grizzly, bars)
+    height = grizzly.plane.height(surface.xyz)
+    beneath = height < -tolerance
+    if beneath.sum() < _LEAST_OPEN:
+        return None
+    within = _between(across, beneath) & _between(along, beneath) & ~(height > tolerance)
+    turns = (across - bars.phase_m) / bars.pitch_m
+    between = within & (np.abs(turns - np.round(turns)) > _BESIDE * bars.width_m / bars.pitch_m)
+    _, _, clear = _strongest_pair(
+        _folded(_slope(surface, across)[within], turns[within]), bars.width_m / bars.pitch_m
+    )
+    slope, place = _slope(surface, along)[between], along[between]
+    step = max(1, len(place) // _SEARCHED)
+    found = []
+    for pitch in bars.pitch_m * np.geomspace(1 / MOST_OBLONG, MOST_OBLONG, _PITCHES):
+        fold = _folded(slope[::step], place[::step] / np.float32(pitch))
+        share = bars.width_m / pitch
+        _, middle, contrast = _strongest_pair(fold, share, 0.5 / share)
+        if contrast > CLEAR * float(np.sqrt(np.mean(fold**2))):
+            found.append((contrast, float(pitch), middle))
+    best = max((contrast for contrast, *_ in found), default=0.0)
+    if best < _AS_CLEAR * clear:
+        return None
+    # A fold by two pitches shows both bars as clearly.
+    pitch, middle = next((p, m) for contrast, p, m in found if contrast > _FIRST * best)
+    return Bars(bars.across, bars.direction, pitch, middle * pitch, bars.width_m)
 
 
 def _in_plane(surface: Surface, grizzly: Grizzly, bars: Bars) -> tuple[F32, F32]:
@@ -95,15 +137,15 @@ def _folded(slope: F32, position: F32) -> F64:
     )
 
 
-def _strongest_pair(fold: F64, about: float) -> tuple[float, float, float]:
+def _strongest_pair(fold: F64, about: float, reach: float = SHIFT) -> tuple[float, float, float]:
     """Distance and middle [pitches], and contrast, of the strongest two opposite edges near a width
-    of `about`.
+    of `about`, up to `reach` widths to either side.
     """
     steps = about * _BINS
     lengths: npt.NDArray[np.intp] = np.arange(round(NARROWEST * steps), round(WIDEST * steps) + 1)[
         :, None
     ]
-    middles = np.arange(-round(SHIFT * steps), round(SHIFT * steps) + 1)[None, :]
+    middles = np.arange(-round(reach * steps), round(reach * steps) + 1)[None, :]
     start = middles - lengths // 2
     contrast = np.abs(fold[start % _BINS] - fold[(start + lengths) % _BINS])
     row, column = np.unravel_index(int(contrast.argmax()), contrast.shape)

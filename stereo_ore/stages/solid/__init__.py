@@ -16,7 +16,9 @@ from stereo_ore.stages.solid.prior import Estimate, load_prior
 from stereo_ore.stages.solid.sight import Sight, look_at_lumps
 from stereo_ore.types import F64, Grizzly, OreMap, Reason, Solid, Surface
 
-__all__ = ["METHOD", "Cues", "Sight", "is_oversize", "looks", "over_hole", "solids"]
+__all__ = [
+    "METHOD", "Cues", "Sight", "is_oversize", "looks", "over_hole", "solids", "unknown_within",
+]  # fmt: skip
 
 METHOD = "grounded hull corrected by a shape prior"
 FARTHEST, _LARGEST = 1.5, 2.5
@@ -24,6 +26,9 @@ FARTHEST, _LARGEST = 1.5, 2.5
 ratio."""
 CUT_FACTOR = 2.0
 """How much less sure all is of a lump that the image's border cuts."""
+DOUBTED = 0.25
+"""Within so many standard deviations of the volume's logarithm a lump may be larger or smaller than
+the opening; the middle dimension's own is 0.42 of that."""
 
 Openings = tuple[float, ...] | None
 """Clear sides [m] of the holes of a screen: one of a slot, two of a rectangle; None: unknown."""
@@ -36,7 +41,7 @@ def solids(
 
     The visible surface is closed by a shrunken footprint on the screen (the grounded hull). How far
     that is from the truth depends on what the camera saw: the outline, what carries or hides the
-    lump, the bars under it, the view. A linear model of such cues, fitted to scenes with known
+    lump, the bars under it, the view. A small network of such cues, fitted to scenes with known
     truth, gives centre of gravity, volume and dimensions with their uncertainties.
 
     Parameters
@@ -79,7 +84,7 @@ def looks(
 
 
 def _solid(sight: Sight, cues: Cues, openings_m: Openings, cut: bool, config: SolidConfig) -> Solid:
-    estimate, s = load_prior().estimate(cues.even, cues.odd, cues.doubts), sight.size
+    estimate, s = load_prior().estimate(cues.even, cues.odd), sight.size
     base = cues.body
     shift = (
         np.array([estimate.mean[axis] for axis in "xyz"]) * s
@@ -92,20 +97,21 @@ def _solid(sight: Sight, cues: Cues, openings_m: Openings, cut: bool, config: So
     factor = CUT_FACTOR if cut else 1.0
     centre, spread = base.centroid + shift, config.volume_sigmas * estimate.sigma["volume"] * factor
     size = np.sort([s * np.exp(estimate.mean[name]) for name in DIMENSIONS])[::-1]
+    bounds = (float(volume * np.exp(-spread)), float(volume * np.exp(spread)))
     vertices = centre + np.exp(ratio / 3) * (base.vertices - base.centroid)
     box_length = float(cues.box.extent[0] * size[0] / longest_calliper(base.vertices))
     return Solid(
         centre_of_gravity=sight.to_camera(centre),
         sigma_m=_sigma(sight, estimate, factor, config),
         volume_m3=volume,
-        volume_bounds_m3=(float(volume * np.exp(-spread)), float(volume * np.exp(spread))),
+        volume_bounds_m3=bounds,
         box_centre=sight.to_camera(centre + np.exp(ratio / 3) * (cues.box.centre - base.centroid)),
         axes=cues.box.axes @ sight.axes,
         extent_m=np.array([max(size[1], box_length), size[1], size[2]]),
         size_m=size,
         method=METHOD,
         vertices=sight.to_camera(vertices).astype(np.float32),
-        oversize=is_oversize(size, openings_m, cut, config.oversize_margin),
+        oversize=is_oversize(size, openings_m, cut, unknown_within(bounds, config)),
         reasons=(Reason("CUT_BY_IMAGE", "the image's border cuts the lump; it may be larger"),)
         if cut
         else (),
@@ -144,6 +150,15 @@ def is_oversize(
     if cut and excess <= margin:
         return None
     return None if abs(excess) <= margin else bool(excess > 0)
+
+
+def unknown_within(volume_bounds_m3: Sequence[float], config: SolidConfig) -> float:
+    """Share of the opening within which it is unknown whether a lump passes: `oversize_margin`, or
+    `DOUBTED` of the standard deviation of the volume's logarithm, by its bounds.
+    """
+    low, high = volume_bounds_m3
+    sigma = np.log(high / max(low, 1e-12)) / (2 * config.volume_sigmas)
+    return max(config.oversize_margin, float(np.expm1(DOUBTED * sigma)))
 
 
 def over_hole(size_m: Sequence[float] | F64, openings_m: tuple[float, ...]) -> float:

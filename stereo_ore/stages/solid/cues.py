@@ -33,7 +33,7 @@ class Cues:
     """Named cues: `even` ones do not change when the lump is mirrored sideways, `odd` ones change
     sign.
 
-    `doubts` tell how far an estimate may be off. `support` [m] is the height that seems to carry
+    `support` [m] is the height that seems to carry
     the lump; heights among the cues, and the estimate's, are over it. `body` is the hull of the
     visible surface and a shrunken footprint on the screen, the closed form that the cues correct,
     `box` its box; lump frame, metres.
@@ -41,7 +41,6 @@ class Cues:
 
     even: dict[str, float]
     odd: dict[str, float]
-    doubts: dict[str, float]
     support: float
     body: Body
     box: Box
@@ -91,10 +90,7 @@ def gather_cues(sight: Sight, bars: Bars | None, opening_m: float | None) -> Cue
     odd = {name: float(place[1] / s) for name, place in places.items()} | {
         "normal": float(facing[1])
     }
-    doubts = {name: even[name] for name in ("tilt", "hidden", "others")} | {
-        "depth_noise": sight.sigma_z / s
-    }
-    return Cues(even, odd, doubts, support, grounded, box)
+    return Cues(even, odd, support, grounded, box)
 
 
 def _footprint(outline: F64, height: float) -> F64:

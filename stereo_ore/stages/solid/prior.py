@@ -1,5 +1,5 @@
-"""The linear models that turn cues into a solid; ``stereo-ore tune --train solids`` makes their
-coefficients.
+"""The network that turns cues into a solid; ``stereo-ore tune --train solids`` makes its
+weights.
 """
 
 from __future__ import annotations
@@ -11,135 +11,100 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from stereo_ore.types import F64
 
-TARGETS = ("x", "z", "volume", "longest", "middle", "shortest")
-"""What is estimated from even cues: centre of gravity over size, z over the support, logarithms of
-volume over size³ and of dimensions over size. The sideways coordinate y comes from odd cues alone,
-for a mirrored lump must give a mirrored answer."""
-DOUBTS = ("tilt", "hidden", "others", "depth_noise")
-"""What the logarithm of an error's standard deviation is linear in."""
+TARGETS = ("x", "z", "volume", "longest", "middle", "shortest", "y")
+"""What is estimated: centre of gravity over size, z over the support, logarithms of volume over
+size³ and of dimensions over size."""
+MIRRORED = np.array([1.0, 1, 1, 1, 1, 1, -1] + [1.0] * len(TARGETS))
+"""Signs of the outputs when a lump is mirrored sideways."""
 REACH = 4.0
-"""How many standard deviations a cue may differ from those that the model was made from."""
-PAIR_REACH = 2.5
-"""The same in products of cues, which would take a model farther astray."""
+"""How many standard deviations a cue may differ from those that the network was made from."""
+_DECIMALS = 4
 _SHIPPED = Path(__file__).with_name("prior.json")
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Means and standard deviations by target (`TARGETS` and y), over the lump's size or as
-    logarithms.
-    """
+    """Means and standard deviations by target, over the lump's size or as logarithms."""
 
     mean: Mapping[str, float]
     sigma: Mapping[str, float]
 
 
 @dataclass(frozen=True)
-class Linear:
-    """Targets as `constant` (T,) + terms · `weights` (K + P, T).
+class Prior:
+    """Outputs (2·T,), the `TARGETS` and the logarithms of their sigmas, of F cues, `even` before
+    `odd` ones: constant + x·straight + max(0, x·units + bias)·outputs, where x are the cues less
+    `mean`, over `scale`, held within ±`REACH`.
 
-    The terms are the K cues less `mean`, over `scale`, held within ±`REACH`, and products of P
-    `pairs` of those.
+    A mirrored lump must give a mirrored answer: the mean over both ways to see it counts.
     """
 
-    cues: tuple[str, ...]
-    pairs: tuple[tuple[str, str], ...]
+    even: tuple[str, ...]
+    odd: tuple[str, ...]
     mean: F64
     scale: F64
-    weights: F64
+    straight: F64
+    units: F64
+    bias: F64
+    outputs: F64
     constant: F64
 
-    def __call__(self, values: F64) -> F64:
-        """Targets (..., T) of cues (..., K)."""
-        return np.asarray(self.constant + self.terms(values) @ self.weights)
+    def __call__(self, cues: F64) -> F64:
+        """Outputs (N, 2·T) of cues (N, F)."""
+        mirrored = np.r_[np.ones(len(self.even)), -np.ones(len(self.odd))]
+        return np.asarray((self._one(cues) + MIRRORED * self._one(mirrored * cues)) / 2)
 
-    def terms(self, values: F64) -> F64:
-        """Terms (..., K + P) of cues (..., K)."""
-        standard = np.clip((values - self.mean) / self.scale, -REACH, REACH)
-        near = np.clip(standard, -PAIR_REACH, PAIR_REACH)
-        one, other = self._places
-        return np.concatenate([standard, near[..., one] * near[..., other]], -1)
+    def _one(self, cues: F64) -> F64:
+        x = self.standard(cues)
+        hidden = np.maximum(x @ self.units + self.bias, 0.0)
+        return np.asarray(self.constant + x @ self.straight + hidden @ self.outputs)
 
-    @functools.cached_property
-    def _places(self) -> npt.NDArray[np.intp]:
-        """Columns (2, P) of the pairs."""
-        place = {name: k for k, name in enumerate(self.cues)}
-        return (
-            np.array([[place[name] for name in pair] for pair in self.pairs], np.intp)
-            .reshape(-1, 2)
-            .T
-        )
+    def standard(self, cues: F64) -> F64:
+        """Cues (N, F) as the network takes them."""
+        return np.asarray(np.clip((cues - self.mean) / self.scale, -REACH, REACH))
 
-
-@dataclass(frozen=True)
-class Prior:
-    """Models of the `TARGETS` from even cues and of y from odd ones; weights (5,) of each sigma's
-    logarithm.
-    """
-
-    even: Linear
-    odd: Linear
-    sigma: Mapping[str, F64]
-
-    def estimate(
-        self, even: Mapping[str, float], odd: Mapping[str, float], doubts: Mapping[str, float]
-    ) -> Estimate:
-        """Apply the models to cues by name."""
-        values = [*self.even(_row(even, self.even.cues)), *self.odd(_row(odd, self.odd.cues))]
-        mean = dict(zip((*TARGETS, "y"), map(float, values), strict=True))
-        doubt = np.array([1.0, *(min(doubts[name], 1.0) for name in DOUBTS)])
+    def estimate(self, even: Mapping[str, float], odd: Mapping[str, float]) -> Estimate:
+        """Apply the network to the cues of a lump, by name."""
+        row = [*(even[name] for name in self.even), *(odd[name] for name in self.odd)]
+        mean, sigma = self(np.array([row]))[0].reshape(2, -1)
         return Estimate(
-            mean, {name: float(np.exp(row @ doubt)) for name, row in self.sigma.items()}
+            dict(zip(TARGETS, mean.tolist(), strict=True)),
+            dict(zip(TARGETS, np.exp(sigma).tolist(), strict=True)),
         )
 
     def to_json(self) -> str:
-        """A line a cue, five decimals: readable, and more than the estimate needs."""
-        document = {
-            "even": _document(self.even, TARGETS),
-            "odd": _document(self.odd, ("y",)),
-            "sigma": {name: _named(("constant", *DOUBTS), row) for name, row in self.sigma.items()},
+        """Readable text: a line a cue, and one a hidden unit."""
+        rows = zip(self.mean, self.scale, self.straight, self.units, strict=True)
+        cues = {
+            name: [float(mean), float(scale), *straight, *units]
+            for name, (mean, scale, straight, units) in zip(
+                (*self.even, *self.odd), rows, strict=True
+            )
         }
-        return json.dumps(document, separators=(", ", ": ")).replace("}, ", "},\n  ") + "\n"
+        document = {
+            "targets": TARGETS,
+            "even": len(self.even),
+            "cues": {name: _rounded(row) for name, row in cues.items()},
+            "constant": _rounded(self.constant),
+            "bias": _rounded(self.bias),
+            "outputs": [_rounded(row) for row in self.outputs],
+        }
+        return json.dumps(document).replace("], ", "],\n").replace("}, ", "},\n") + "\n"
 
 
-def _row(cues: Mapping[str, float], names: tuple[str, ...]) -> F64:
-    return np.array([cues[name] for name in names])
-
-
-def _document(model: Linear, targets: tuple[str, ...]) -> dict[str, dict[str, float]]:
-    terms = (*model.cues, *(f"{one}*{other}" for one, other in model.pairs))
-    document = {term: _named(targets, row) for term, row in zip(terms, model.weights, strict=True)}
-    for cue, *row in zip(model.cues, model.mean, model.scale, strict=True):
-        document[cue] = _named(("mean", "scale"), np.array(row)) | document[cue]
-    return {"constant": _named(targets, model.constant)} | document
-
-
-def _named(names: tuple[str, ...], row: F64) -> dict[str, float]:
-    return dict(zip(names, row.round(5).tolist(), strict=True))
+def _rounded(row: F64 | list[float]) -> list[float]:
+    return [round(float(value), _DECIMALS) for value in row]
 
 
 @functools.cache
 def load_prior(file: Path = _SHIPPED) -> Prior:
-    """Read the coefficients that ship with the package, or others."""
+    """Read the weights that ship with the package, or others."""
     document = json.loads(file.read_text(encoding="utf-8"))
-    sigma = {
-        name: np.array([row["constant"], *(row[d] for d in DOUBTS)])
-        for name, row in document["sigma"].items()
-    }
-    return Prior(_linear(document["even"], TARGETS), _linear(document["odd"], ("y",)), sigma)
-
-
-def _linear(document: Mapping[str, Mapping[str, float]], targets: tuple[str, ...]) -> Linear:
-    constant, *weights = (
-        np.array([row[target] for target in targets]) for row in document.values()
-    )
-    cues = tuple(name for name, row in document.items() if "mean" in row)
-    pairs = tuple(
-        (one, other) for one, star, other in (name.partition("*") for name in document) if star
-    )
-    mean, scale = (np.array([document[cue][key] for cue in cues]) for key in ("mean", "scale"))
-    return Linear(cues, pairs, mean, scale, np.array(weights), constant)
+    names, count = tuple(document["cues"]), document["even"]
+    table = np.array(list(document["cues"].values()))
+    mean, scale, straight, units = np.split(table, [1, 2, 2 + 2 * len(TARGETS)], axis=1)
+    rest = (np.array(document[key]) for key in ("bias", "outputs", "constant"))
+    return Prior(names[:count], names[count:], mean[:, 0], scale[:, 0], straight, units, *rest)

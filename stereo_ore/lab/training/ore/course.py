@@ -22,6 +22,8 @@ from stereo_ore.version import __version__
 
 _log = logging.getLogger(__name__)
 
+_RANGES = 12
+"""Examples of each kind that the ranges of the network's values are taken from."""
 _HELD = 8
 """Every so manyth seed is not trained on, but judges."""
 SHARES = (0.4, 0.6)
@@ -100,11 +102,16 @@ def train_ore(course: Course) -> Path:
     network = fit.train(lambda: present, shares, course.minutes, checkpoint, start, say=_log.info)
     held = _views(course, [s for s in course.seeds if not s % _HELD])
     onnx = course.out / "model.onnx.part"
-    net.export(network, onnx)
+    net.export(network, onnx, [each.example.x for each in _spread(present)])
     about = {"made by": _origin(course), **_known(course), **_judged(network, held)}
     models.write(course.out / "model", onnx.read_bytes(), about)
     onnx.unlink()
     return course.out / "model"
+
+
+def _spread(groups: Sequence[Sequence[Seen]]) -> list[Seen]:
+    """At most `_RANGES` of each group, evenly chosen."""
+    return [each for group in groups for each in group[:: -(-len(group) // _RANGES)]]
 
 
 def _judged(network: Any, held: Sequence[Path]) -> dict[str, Any]:

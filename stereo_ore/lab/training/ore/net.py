@@ -14,7 +14,7 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from stereo_ore.stages.segment.channels import CHANNELS
+from stereo_ore.stages.segment.channels import CHANNELS, STRIDE
 from stereo_ore.stages.segment.outputs import OUTPUTS
 from stereo_ore.types import F32
 
@@ -157,13 +157,22 @@ def _beyond(weight: Any) -> Any:
 def outputs_of(net: nn.Module, x: F32) -> F32:
     """Outputs (5, h, w) of channels (C, h, w), ore and line as logits: what the ONNX file gives."""
     h, w = x.shape[1:]
-    padded = np.pad(x, [(0, 0), (0, -h % 16), (0, -w % 16)])
     with torch.no_grad():
-        return np.asarray(net(torch.from_numpy(padded)[None])[0, :, :h, :w].numpy(), np.float32)
+        y = net(torch.from_numpy(_padded(x))[None])[0, :, :h, :w]
+        return np.asarray(y.numpy(), np.float32)
 
 
-def export(net: nn.Module, path: Path) -> None:
-    """Write the network as one ONNX file of free sides; batch norms fold into the convolutions."""
+def _padded(x: F32) -> F32:
+    """Channels (C, h, w) with zeros beyond, whose sides the network takes."""
+    return np.pad(x, [(0, 0), (0, -x.shape[1] % STRIDE), (0, -x.shape[2] % STRIDE)])
+
+
+def export(net: nn.Module, path: Path, seen: Iterable[F32]) -> None:
+    """Write the network as one ONNX file of free sides; batch norms fold into the convolutions.
+
+    Values between its layers have eight bits, over ranges that they take for channels (C, h, w)
+    that it has seen (`with_ranges`).
+    """
     net = net.eval().to(memory_format=torch.contiguous_format)
     x = torch.zeros(1, len(CHANNELS), 256, 320)
     sides = {2: 16 * torch.export.Dim("rows"), 3: 16 * torch.export.Dim("columns")}
@@ -174,3 +183,34 @@ def export(net: nn.Module, path: Path) -> None:
             net, (x,), str(path), opset_version=18, external_data=False, verbose=False,
             input_names=["channels"], output_names=["lumps"], dynamic_shapes=(sides,),
         )  # fmt: skip
+    with_ranges(path, seen)
+
+
+def with_ranges(path: Path, seen: Iterable[F32]) -> None:
+    """Write into the file of a network which ranges its values take for channels (C, h, w).
+
+    The engine then computes in whole numbers of eight bits, in half the time. Weights stay in the
+    file as they were trained; they are rounded to seven bits, since processors without VNNI add two
+    products in sixteen. The last two layers, on which a middle's place depends, are left out.
+    """
+    import onnx
+    from onnxruntime import quantization
+
+    class Reader(quantization.CalibrationDataReader):  # type: ignore[misc]
+        def __init__(self) -> None:
+            self._left = iter(seen)
+
+        def get_next(self) -> dict[str, F32] | None:
+            x = next(self._left, None)
+            return None if x is None else {"channels": _padded(x.astype(np.float32))[None]}
+
+    model = onnx.load(path)
+    # Without this mark a warning asks for a step that folds what is folded already.
+    onnx.helper.set_model_props(model, {"onnx.quant.pre_process": "onnxruntime.quant"})
+    layers = [node.name for node in model.graph.node if node.op_type.startswith("Conv")]
+    quantization.quantize_static(
+        model, path, Reader(), per_channel=True, reduce_range=True,
+        activation_type=quantization.QuantType.QUInt8, weight_type=quantization.QuantType.QInt8,
+        op_types_to_quantize=["Conv", "Add", "Resize", "Relu"], nodes_to_exclude=layers[-2:],
+        extra_options={"AddQDQPairToWeight": True, "QuantizeBias": False},
+    )  # fmt: skip

@@ -82,13 +82,14 @@ def _lumps(opening: float, rng: np.random.Generator) -> tuple[list[Mesh], list[s
     order = np.argsort(-sizes * np.exp(rng.normal(0, 0.5, count)))
     kinds = rng.choice(list(ORES), 1 if rng.random() < 0.4 else 2, replace=False)
     angular = rng.random() < 0.6
-    meshes = [_rock(float(sizes[k]), angular, rng) for k in order]
+    meshes = [broken_rock(float(sizes[k]), angular, DENTED, rng) for k in order]
     return meshes, [str(ore) for ore in rng.choice(kinds, count)]
 
 
-def _rock(longest: float, angular: bool, rng: np.random.Generator) -> Mesh:
+def broken_rock(longest: float, angular: bool, dented: float, rng: np.random.Generator) -> Mesh:
+    """A rock of any kind, its centre of mass in the origin, with saddles by the share `dented`."""
     mesh = rock(rng, str(rng.choice(list(PROPORTIONS))), longest, 4, angular)
-    if rng.random() >= DENTED:
+    if rng.random() >= dented:
         return mesh
     away = mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True)
     for _ in range(rng.integers(1, 4)):
@@ -115,7 +116,7 @@ def _furniture(spec: SceneSpec, rng: np.random.Generator) -> tuple[list[Part], l
     solid = [(np.array([*a, -screen.bar_depth]), np.array([*b, 0.0])) for a, b in bars]
     solid += [
         (np.array([*a, -screen.bar_depth]), np.array([*b, screen.rise]))
-        for a, b in _beams(half, screen.frame_width)
+        for a, b in beams(half, screen.frame_width)
     ]
     if rng.random() < MUD:
         mud, level = _mud(screen.opening, half, rng)
@@ -142,7 +143,7 @@ def _bar(
     return box((*low, -depth), (*high, top), cell)
 
 
-def _beams(half: F64, width: float) -> list[tuple[tuple[float, float], tuple[float, float]]]:
+def beams(half: F64, width: float) -> list[tuple[tuple[float, float], tuple[float, float]]]:
     """The frame's four beams in plan."""
     x, y = float(half[0]), float(half[1])
     return [
