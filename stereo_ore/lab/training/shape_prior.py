@@ -20,7 +20,7 @@ _FOLDS = 4
 NETWORKS, _UNITS = 6, 12
 """Networks whose mean is taken, and hidden units of each: their mean is one network with all
 units."""
-STEPS, _BATCH, _RATE, _DECAY = 2500, 256, 4e-3, 0.03
+FIT_STEPS, _BATCH, _RATE, _DECAY = 2500, 256, 4e-3, 0.03
 """Of Adam with decoupled decay of the weights; the rate rises over a tenth of the steps, then
 falls to zero."""
 _CUE_NOISE, _SIGMA_RANGE = 0.1, (-3.0, 2.0)
@@ -164,13 +164,14 @@ def _descend(cues: F32, truth: F32, weight: F64, signs: F32, rng: np.random.Gene
         np.zeros(2 * _T, np.float32),
     ]
     first, second = ([np.zeros_like(w) for w in weights] for _ in range(2))
-    shown = rng.choice(len(cues), (STEPS, _BATCH), p=weight / weight.sum())
+    shown = rng.choice(len(cues), (FIT_STEPS, _BATCH), p=weight / weight.sum())
     for step, rows in enumerate(shown):
         turned = rng.random((_BATCH, 1)) < 0.5
         x = np.where(turned, signs, np.float32(1)) * cues[rows]
         x += np.float32(_CUE_NOISE) * rng.standard_normal(x.shape, np.float32)
         y = np.where(turned, MIRRORED[:_T].astype(np.float32), np.float32(1)) * truth[rows]
-        rate = _RATE * min(1.0, 10 * (step + 1) / STEPS) * (1 + np.cos(np.pi * step / STEPS)) / 2
+        done = step / FIT_STEPS
+        rate = _RATE * min(1.0, 10 * (step + 1) / FIT_STEPS) * (1 + np.cos(np.pi * done)) / 2
         for k, slope in enumerate(_slopes(weights, x, y)):
             first[k] += 0.1 * (slope - first[k])
             second[k] += 0.01 * (slope**2 - second[k])
