@@ -33,10 +33,9 @@ class Cues:
     """Named cues: `even` ones do not change when the lump is mirrored sideways, `odd` ones change
     sign.
 
-    `support` [m] is the height that seems to carry
-    the lump; heights among the cues, and the estimate's, are over it. `body` is the hull of the
-    visible surface and a shrunken footprint on the screen, the closed form that the cues correct,
-    `box` its box; lump frame, metres.
+    `support` [m] is the height that seems to carry the lump; heights among the cues, and the
+    estimate's, are over it. `body` is the hull of the visible surface and a shrunken footprint on
+    the screen, the closed form that the cues correct, `box` its box; lump frame, metres.
     """
 
     even: dict[str, float]
