@@ -55,11 +55,30 @@ def test_invalid_pixels_have_no_say_and_no_offset() -> None:
     assert np.abs(good["offset_36_px"][INSIDE]).max() < 0.15
 
 
+def test_brightness_tells_which_surface_a_pixel_belongs_to() -> None:
+    """A strip behind an edge was given what lies in front; it looks like what is behind."""
+    grey = np.full(SHAPE, 60, np.uint8)
+    grey[:, 100:] = 180
+    values = np.where(grey > 100, 40, 30).astype(np.float32)
+    right = values.copy()
+    values[:, 97:100] = 40
+    every = np.ones(SHAPE, bool)
+    wrong = relief.off_alike(values, every, grey)[INSIDE]
+    column = np.arange(SHAPE[1])[INSIDE[1]]
+    assert wrong[:, (column >= 97) & (column < 100)].min() > 3
+    assert np.abs(relief.off_alike(right, every, grey)[INSIDE]).max() < 0.5
+    assert (relief.off_alike(np.zeros(SHAPE, np.float32), ~every, grey) == 0).all()
+
+
 @pytest.mark.parametrize("shape", [(1, 1), (1, 40), (3, 5), (7, 9)])
 def test_small_regions(shape: tuple[int, int]) -> None:
     for valid in (np.ones(shape, bool), np.zeros(shape, bool)):
         cues = relief.relief_cues(np.full(shape, 12, np.float32), valid)
         assert all(cue.shape == shape and np.isfinite(cue).all() for cue in cues.values())
+        filled = 12 * valid.astype(np.float32)
+        off = relief.off_alike(filled, valid, np.zeros(shape, np.uint8))
+        assert off.shape == shape
+        assert np.isfinite(off).all()
 
 
 def test_threads_change_nothing() -> None:
