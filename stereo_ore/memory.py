@@ -5,10 +5,11 @@ from __future__ import annotations
 import ctypes
 import sys
 
-_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
+_TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8
 """Parameters of glibc's mallopt(3)."""
-_KEPT_BYTES, _MOST_MMAP_BYTES = 256 << 20, 32 << 20
-"""Memory kept for the next frame, and the largest piece that glibc allows to be kept."""
+_KEPT_BYTES, _MOST_MMAP_BYTES, _ARENAS = 128 << 20, 32 << 20, 2
+"""Memory kept for the next frame, the largest piece that glibc allows to be kept, and how many
+pools threads share, each of which keeps its own."""
 
 
 def keep_freed() -> None:
@@ -22,3 +23,4 @@ def keep_freed() -> None:
     if mallopt is not None:
         mallopt(_TRIM_THRESHOLD, _KEPT_BYTES)
         mallopt(_MMAP_THRESHOLD, _MOST_MMAP_BYTES)
+        mallopt(_ARENA_MAX, _ARENAS)

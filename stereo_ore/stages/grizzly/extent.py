@@ -19,6 +19,8 @@ CELL = 0.5
 """Side of the cells that are judged, in pitches along the bars; across it is a pitch."""
 _FEWEST = 4
 """Points on a bar and in a gap that tell of a cell."""
+_FEW = 0.2
+"""Share of the cells of the fullest line that one at the screen's end must have."""
 SOLID, _OPEN = 0.3, -0.1
 """Mean of +1 for solid and −1 for open on the bar of a cell, and in its gap."""
 
@@ -55,9 +57,18 @@ def extent(surface: Surface, screen: Grizzly, config: GrizzlyConfig) -> Extent |
     part = _largest(shown)
     if not part.any():
         return None
-    low, high = (end(np.argwhere(part), 0) + first for end in (np.min, np.max))
+    ends = [_ends(part.sum(1)), _ends(part.sum(0))]
+    low, high = (np.array(end) + first for end in zip(*ends, strict=True))
     # Cells are centred on bars across them, and begin at their floor along them.
     return Extent((low - np.array([0.5, 0])) * side, (high + np.array([0.5, 1])) * side)
+
+
+def _ends(cells: np.ndarray) -> tuple[int, int]:
+    """First and last line that has some of the cells (n,) that the fullest one has: a floor may
+    look like bars in a few.
+    """
+    full = np.flatnonzero(cells > _FEW * cells.max())
+    return int(full[0]), int(full[-1])
 
 
 def over(surface: Surface, screen: Grizzly, config: GrizzlyConfig) -> Surface:

@@ -222,7 +222,7 @@ def _fitted(strips: list[Windows], region: Region) -> RowShift:
         field = np.einsum(
             "ni,i->n",
             basis,
-            np.linalg.lstsq(normal, np.einsum("ni,n->i", basis, weight * shift))[0],
+            np.linalg.lstsq(normal, np.einsum("ni,n->i", basis, weight * shift), rcond=None)[0],
         )
     noise = basis.shape[1] * scatter**2 * _ALIKE / len(shift)
     systematic = float(np.sqrt(max(np.mean(field**2) - noise, 0.0)))
