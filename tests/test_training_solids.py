@@ -149,7 +149,7 @@ def test_a_scene_is_left_out_whole(few_steps: None) -> None:
 
 @pytest.fixture
 def few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shape_prior, "FIT_STEPS", 400)
+    monkeypatch.setattr(shape_prior, "DESCENTS", 400)
     monkeypatch.setattr(shape_prior, "NETWORKS", 2)
 
 

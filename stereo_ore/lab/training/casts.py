@@ -32,8 +32,8 @@ from stereo_ore.lab.training.ore.tumble import Pose, TumbledBox, tumble
 from stereo_ore.lab.training.solids import (
     TRUE_SIGMA_PX,
     Appearance,
-    KnownFrame,
-    KnownLump,
+    KnownBody,
+    KnownLumps,
     SolidSample,
     seen,
     surface_of,
@@ -157,7 +157,7 @@ def _view(
     if not bodies:
         return
     rows, columns = _around(instance)
-    truth = KnownFrame(f"made {spec.seed // _SPECS}", instance[rows, columns], bodies)
+    truth = KnownLumps(f"made {spec.seed // _SPECS}", instance[rows, columns], bodies)
     K = rectified.K
     baseline = rectified.focal_baseline / K[0, 0]
     whole = Rig(*eye.size, K[0, 0], K[1, 1], K[0, 2], K[1, 2], baseline)
@@ -177,7 +177,7 @@ def _view(
         yield from seen(truth, seen_as, surface, OreMap(labels), screen)
 
 
-def _bodies(heap: _Heap, eye: Eye, instance: I32) -> Iterator[KnownLump]:
+def _bodies(heap: _Heap, eye: Eye, instance: I32) -> Iterator[KnownBody]:
     """Lumps that must be found; the hull of its vertices stands for a lump that nothing hides."""
     T = inverse(eye.T_screen_eye)
     f, c = np.array(eye.camera.focal_px), np.array(eye.camera.principal_point_px)
@@ -189,7 +189,7 @@ def _bodies(heap: _Heap, eye: Eye, instance: I32) -> Iterator[KnownLump]:
         cut = bool(np.concatenate([lump[[0, -1]].ravel(), lump[:, [0, -1]].ravel()]).any())
         if evaluate.must_be_found(int(lump.sum()), float(lump.sum()) / max(alone, 1.0), cut):
             centre = T[:3, :3] @ (R @ heap.centres[k] + t) + T[:3, 3]
-            yield KnownLump(FIRST_LUMP + k, heap.volumes[k], centre, heap.dimensions[k])
+            yield KnownBody(FIRST_LUMP + k, heap.volumes[k], centre, heap.dimensions[k])
 
 
 def _around(instance: I32) -> tuple[slice, slice]:
@@ -225,7 +225,7 @@ def _measured(rig: Rig, depth: F32, opening_px: float, rng: np.random.Generator)
     return np.asarray(rig.fx * rig.baseline_m / disparity, np.float32)
 
 
-def _drawn(truth: KnownFrame, opening_px: float, rng: np.random.Generator) -> I16:
+def _drawn(truth: KnownLumps, opening_px: float, rng: np.random.Generator) -> I16:
     """Labels (h, w) of lumps with outlines that are a little off."""
     shape, level = truth.instance.shape, rng.uniform(0.4, 1.6)
     u, v = (a.astype(np.float32) for a in np.meshgrid(*map(np.arange, shape[::-1])))

@@ -13,14 +13,14 @@ from stereo_ore.lab.training.solids import JUDGED, SolidSample
 from stereo_ore.stages.solid.prior import MIRRORED, TARGETS, Prior
 from stereo_ore.types import F32, F64, Mask
 
-CENTRE, _VOLUME, LONGEST = [0, 1, 6], 2, 3
+_CENTRE, _VOLUME, _LONGEST = [0, 1, 6], 2, 3
 """Columns of errors, which are in the order of `TARGETS`."""
 _FOLDS = 4
 """Scenes are left out by quarters; of up to four that come first, each alone."""
 NETWORKS, _UNITS = 6, 12
 """Networks whose mean is taken, and hidden units of each: their mean is one network with all
 units."""
-FIT_STEPS, _BATCH, _RATE, _DECAY = 2500, 256, 4e-3, 0.03
+DESCENTS, _BATCH, _RATE, _DECAY = 2500, 256, 4e-3, 0.03
 """Of Adam with decoupled decay of the weights; the rate rises over a tenth of the steps, then
 falls to zero."""
 _CUE_NOISE, _SIGMA_RANGE = 0.1, (-3.0, 2.0)
@@ -109,11 +109,11 @@ def train_prior(found: Sequence[SolidSample]) -> tuple[Prior, F64]:
 def prior_quality(found: Sequence[SolidSample], errors: F64) -> _Quality:
     """Of samples, by their errors and sigmas (N, 2, T)."""
     size = np.array([sample.size for sample in found])
-    shift = np.linalg.norm(errors[:, 0, CENTRE], axis=1) / size
-    volume, longest = np.abs(np.expm1(errors[:, 0, [_VOLUME, LONGEST]])).T
+    shift = np.linalg.norm(errors[:, 0, _CENTRE], axis=1) / size
+    volume, longest = np.abs(np.expm1(errors[:, 0, [_VOLUME, _LONGEST]])).T
     held = np.abs(errors[:, 0]) <= 2 * errors[:, 1]
     medians = (np.median(shift), np.quantile(shift, 0.9), np.median(volume), np.median(longest))
-    shares = held[:, CENTRE].mean(), held[:, _VOLUME].mean()
+    shares = held[:, _CENTRE].mean(), held[:, _VOLUME].mean()
     return _Quality(len(found), *map(float, (*medians, *shares)))
 
 
@@ -164,14 +164,15 @@ def _descend(cues: F32, truth: F32, weight: F64, signs: F32, rng: np.random.Gene
         np.zeros(2 * _T, np.float32),
     ]
     first, second = ([np.zeros_like(w) for w in weights] for _ in range(2))
-    shown = rng.choice(len(cues), (FIT_STEPS, _BATCH), p=weight / weight.sum())
+    shown = rng.choice(len(cues), (DESCENTS, _BATCH), p=weight / weight.sum())
     for step, rows in enumerate(shown):
         turned = rng.random((_BATCH, 1)) < 0.5
         x = np.where(turned, signs, np.float32(1)) * cues[rows]
         x += np.float32(_CUE_NOISE) * rng.standard_normal(x.shape, np.float32)
         y = np.where(turned, MIRRORED[:_T].astype(np.float32), np.float32(1)) * truth[rows]
-        done = step / FIT_STEPS
-        rate = _RATE * min(1.0, 10 * (step + 1) / FIT_STEPS) * (1 + np.cos(np.pi * done)) / 2
+        rate = (
+            _RATE * min(1.0, 10 * (step + 1) / DESCENTS) * (1 + np.cos(np.pi * step / DESCENTS)) / 2
+        )
         for k, slope in enumerate(_slopes(weights, x, y)):
             first[k] += 0.1 * (slope - first[k])
             second[k] += 0.01 * (slope**2 - second[k])

@@ -36,7 +36,7 @@ MIN_OVERLAP = 0.5
 
 
 @dataclass(frozen=True)
-class KnownLump:
+class KnownBody:
     """What is true of a lump: label, volume [m³], centre of mass and dimensions, longest first,
     (3,) [m].
 
@@ -50,14 +50,14 @@ class KnownLump:
 
 
 @dataclass(frozen=True)
-class KnownFrame:
+class KnownLumps:
     """Labels (h, w) of the rectified left view, or of a crop of it, and the `bodies` of the lumps
     that must be found; `recorded` tells a scene folder from a made-up scene.
     """
 
     name: str
     instance: I32
-    bodies: tuple[KnownLump, ...]
+    bodies: tuple[KnownBody, ...]
     recorded: bool = False
 
     @property
@@ -91,7 +91,7 @@ def recorded(folder: Path) -> Iterator[SolidSample]:
     """The lumps of a scene folder with truth that the program finds, in every appearance."""
     known, (calibration, site) = evaluate.load_truth(folder), load_rig(folder)
     pair = recordings.open_source(folder).read(0)
-    truth = KnownFrame(folder.name, known.instance, tuple(_bodies(known)), recorded=True)
+    truth = KnownLumps(folder.name, known.instance, tuple(_bodies(known)), recorded=True)
     sites: Mapping[Appearance, Site] = {"measured": site, "unplaced": replace(site, plane=None)}
     for seen_as, told in sites.items():
         result = Chain(calibration, told)(pair)
@@ -108,11 +108,11 @@ def recorded(folder: Path) -> Iterator[SolidSample]:
             yield from seen(truth, "true", exact, outlines, screen)
 
 
-def _bodies(truth: evaluate.Truth) -> Iterator[KnownLump]:
+def _bodies(truth: evaluate.Truth) -> Iterator[KnownBody]:
     for label in truth.wanted:
         lump = truth.lumps[label]
         dimensions = np.array([lump["max_caliper_mm"], *lump["obb_dims_mm"][1:]]) / 1000
-        yield KnownLump(label, lump["volume_mm3"] * 1e-9, truth.centre(label), dimensions)
+        yield KnownBody(label, lump["volume_mm3"] * 1e-9, truth.centre(label), dimensions)
 
 
 def surface_of(depth: F32 | F64, x0: int, y0: int, rig: Rig, sigma_px: float) -> Surface:
@@ -127,7 +127,7 @@ def surface_of(depth: F32 | F64, x0: int, y0: int, rig: Rig, sigma_px: float) ->
 
 
 def seen(
-    truth: KnownFrame, seen_as: Appearance, surface: Surface, ore_map: OreMap, screen: Grizzly
+    truth: KnownLumps, seen_as: Appearance, surface: Surface, ore_map: OreMap, screen: Grizzly
 ) -> Iterator[SolidSample]:
     """Samples of the lumps in a map that overlap true ones enough to be them."""
     found = solid.looks(surface, ore_map, screen, Config().solid)
@@ -139,14 +139,14 @@ def seen(
             yield SolidSample(truth.name, seen_as, truth.recorded, cues, target, longest)
 
 
-def _target(body: KnownLump, sight: Sight, cues: Cues) -> dict[str, float]:
+def _target(body: KnownBody, sight: Sight, cues: Cues) -> dict[str, float]:
     """What is true of a lump as the prior's targets."""
     x, y, z = (sight.axes @ (body.centre - sight.origin) - [0.0, 0.0, cues.support]) / sight.size
     logarithms = np.log([body.volume / sight.size**3, *(body.dimensions / sight.size)])
     return dict(zip(TARGETS, map(float, (x, z, *logarithms, y)), strict=True))
 
 
-def _counterparts(truth: KnownFrame, ore_map: OreMap) -> Iterator[tuple[KnownLump, int]]:
+def _counterparts(truth: KnownLumps, ore_map: OreMap) -> Iterator[tuple[KnownBody, int]]:
     """Bodies and the ids in the map that overlap them enough to be them."""
     given = list(range(1, int(ore_map.labels.max(initial=0)) + 1))
     if not given or not truth.bodies:

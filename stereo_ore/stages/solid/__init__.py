@@ -26,7 +26,7 @@ FARTHEST, _LARGEST = 1.5, 2.5
 ratio."""
 CUT_FACTOR = 2.0
 """How much less sure all is of a lump that the image's border cuts."""
-DOUBTED = 0.25
+_DOUBTED = 0.25
 """Within so many standard deviations of the volume's logarithm a lump may be larger or smaller than
 the opening; the middle dimension's own is 0.42 of that."""
 
@@ -154,11 +154,11 @@ def is_oversize(
 
 def unknown_within(volume_bounds_m3: Sequence[float], config: SolidConfig) -> float:
     """Share of the opening within which it is unknown whether a lump passes: `oversize_margin`, or
-    `DOUBTED` of the standard deviation of the volume's logarithm, by its bounds.
+    `_DOUBTED` of the standard deviation of the volume's logarithm, by its bounds.
     """
     low, high = volume_bounds_m3
     sigma = np.log(high / max(low, 1e-12)) / (2 * config.volume_sigmas)
-    return max(config.oversize_margin, float(np.expm1(DOUBTED * sigma)))
+    return max(config.oversize_margin, float(np.expm1(_DOUBTED * sigma)))
 
 
 def over_hole(size_m: Sequence[float] | F64, openings_m: tuple[float, ...]) -> float:
