@@ -134,7 +134,7 @@ def test_aligned_rows_are_not_told(flat_plane_pair: Any) -> None:
 
 def test_grain_is_no_disagreement_where_bars_were_measured(flat_plane_pair: Any) -> None:
     pair, disparity = pair_of(flat_plane_pair)
-    bars = Registration(np.zeros(3), 0.0, 0.0, 0.0, 0.1)
+    bars = Registration(np.zeros(3), 0.0, 0.0, 0.0, 0.0, 0.1)
     least = CONFIG.min_right_share
     for share, told in (
         (least + 0.02, (False, False)),

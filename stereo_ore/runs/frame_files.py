@@ -57,10 +57,10 @@ class FrameFiles:
     def write(self, result: FrameResult) -> None:
         """Write what the frame has and what is wanted: nothing for a frame that could not be read.
 
-        The overlay is the ground only, for `draw`.
+        Of the overlay only the ground, which waits under a temporary name for `draw`.
         """
         if self.overlays and (ground := overlay.draw_ground(result)) is not None:
-            write_bytes(self._overlay(result.name), encode_png(ground, 0))
+            write_bytes(self._ground(result.name), encode_png(ground, 0))
         if self.pictures and (picture := scene_picture.draw_scene(result)) is not None:
             write_bytes(self.folder / "pictures" / f"{result.name}.png", encode_png(picture))
         if result.filtered is not None and (self.clouds or self.T_arm_camera is not None):
@@ -69,20 +69,24 @@ class FrameFiles:
             write_bytes(self.folder / "stages" / f"{result.name}.npz", stages_npz(result))
 
     def draw(self, lines: FrameLines, rig: Rig) -> None:
-        """Draw lumps and targets on the overlay of a frame whose lines its predecessors have
-        judged.
+        """Make the overlay of a frame whose lines its predecessors have judged: lumps and targets
+        on its ground.
         """
         if not self.overlays or lines.outlines is None:
             return
         record = json.loads(lines.record)
-        path = self._overlay(record["frame"])
-        image = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_COLOR)
+        ground = self._ground(record["frame"])
+        image = cv2.imdecode(np.fromfile(ground, np.uint8), cv2.IMREAD_COLOR)
         picture = np.asarray(image, np.uint8)
         overlay.draw_lumps(picture, rig, lines.outlines, record)
-        write_bytes(path, encode_png(picture))
+        write_bytes(self.folder / "overlays" / f"{record['frame']}.png", encode_png(picture))
+        ground.unlink()
 
-    def _overlay(self, name: str) -> Path:
-        return self.folder / "overlays" / f"{name}.png"
+    def _ground(self, name: str) -> Path:
+        """Where an overlay's ground waits; what a killed run leaves there `remove_leftovers`
+        takes away.
+        """
+        return self.folder / "overlays" / f".{name}.ground.tmp"
 
     def _write_clouds(self, name: str, table: npt.NDArray[np.void]) -> None:
         if self.clouds:
