@@ -320,6 +320,19 @@ def test_a_new_file_that_the_system_tells_of_needs_no_listing(tmp_path, monkeypa
     assert len(seen) == before + 1, "listed now and then all the same"
 
 
+def test_a_file_written_anew_under_its_name_is_seen_at_once(tmp_path, monkeypatch):
+    monkeypatch.setattr("stereo_ore.plant.inbox.RECHECKS", 0)
+    clock = StillClock()
+    inbox = handled_inbox(tmp_path, clock)
+    clock.now_s += 3
+    inbox.new_files()
+    changed_ns = tmp_path.stat().st_mtime_ns
+    put_pair(tmp_path, 3)
+    assert tmp_path.stat().st_mtime_ns == changed_ns
+    names = ["left000003.png", "right000003.png"]
+    wait_for(lambda: [file.name for file in inbox.new_files()[""]] == names)
+
+
 def test_where_the_system_tells_nothing_a_folder_is_listed(tmp_path, monkeypatch, caplog):
     def watch_limit(*paths: object, **options: object) -> None:
         raise OSError("OS file watch limit reached")

@@ -26,20 +26,23 @@ _POLL_MS = 3_600_000
 
 
 class Changes:
-    """What the operating system says of the files below `root`, from the first question on."""
+    """What the operating system says of the files below `root`, from the first `gather` on."""
 
     def __init__(self, root: Path) -> None:
         self._root = root
         self._said: Iterator[set[FileChange]] | None = None
         self._names: defaultdict[str, set[str]] = defaultdict(set)
 
-    def take(self, folder: str) -> set[str]:
-        """Names in a folder, relative to the root with ``/``, that were said to have changed since
-        they were taken last; none where nothing was said.
-        """
+    def gather(self) -> None:
+        """Take note of what was said since this was called last."""
         for path in self._new():
             inner, _, name = os.path.relpath(path, self._root).replace(os.sep, "/").rpartition("/")
             self._names[inner].add(name)
+
+    def take(self, folder: str) -> set[str]:
+        """Names in a folder, relative to the root with ``/``, that were said to have changed and
+        were not taken yet.
+        """
         return self._names.pop(folder, set())
 
     def keep(self, folders: Container[str]) -> None:

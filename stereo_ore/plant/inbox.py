@@ -68,6 +68,7 @@ class Inbox:
         OSError
             When the folder can't be listed.
         """
+        self._changes.gather()
         found: dict[str, _Folder] = {}
         self._visit("", found)
         for name in self._folders.keys() - found.keys():
@@ -121,14 +122,12 @@ class Inbox:
         changed = changed_ns != folder.changed_ns
         if changed:
             folder.changed_ns, folder.noticed_s = changed_ns, now
-        # The folder's time may be too coarse to tell two changes; what is said tells them.
-        recent = now < folder.noticed_s + SURE_S
-        said = self._changes.take(name) if changed or recent else set()
+        # What is said tells of files written anew as well, which leave their folder's time alone.
+        said = self._changes.take(name)
         folder.said = bool(said) or (folder.said and not changed)
-        if said and not _is_due(folder, now):
-            self._note(folder, path, said)
-        elif changed or _is_due(folder, now):
+        if (changed and not said) or _is_due(folder, now):
             self._list(folder, path)
+        self._note(folder, path, said)
 
     def _note(self, folder: _Folder, path: Path, names: set[str]) -> None:
         """Take over names in a folder that have come, changed or gone."""
