@@ -81,7 +81,7 @@ WRONG_CALIBRATIONS: dict[str, tuple[Change, str]] = {
     "disparity offset": (lambda d: d.update(disparity_offset_px=2.0), "SCREEN_MOVED"),
     "baseline of another camera": (baseline(0.063 / 0.12), "SCREEN_MOVED"),
     "baseline 5 % long": (baseline(1.05), "SCREEN_MOVED"),
-    "baseline 2 % short": (baseline(0.98), "SCREEN_MOVED"),
+    "baseline 3 % short": (baseline(0.97), "SCREEN_MOVED"),
     "disparity offset of a third of a pixel": (
         lambda d: d.update(disparity_offset_px=0.35),
         "SCREEN_MOVED",
