@@ -50,14 +50,10 @@ def sharpened(surface: Surface, grizzly: Grizzly, tolerance: F32) -> Bars | None
     tolerance : (h, w) float32
         Distance from the plane within which a point may lie on it [m].
     """
-    if (bars := grizzly.bars) is None:
+    bars, seen = grizzly.bars, _seen(surface, grizzly, tolerance)
+    if bars is None or seen is None:
         return None
-    across, along = _in_plane(surface, grizzly, bars)
-    height = grizzly.plane.height(surface.xyz)
-    beneath = height < -tolerance
-    if beneath.sum() < _LEAST_OPEN:
-        return None
-    within = _between(across, beneath) & _between(along, beneath) & ~(height > tolerance)
+    across, _, within = seen
     fold = _folded(_slope(surface, across)[within], (across[within] - bars.phase_m) / bars.pitch_m)
     width, middle, contrast = _strongest_pair(fold, bars.width_m / bars.pitch_m)
     if not contrast > CLEAR * float(np.sqrt(np.mean(fold**2))):
@@ -71,14 +67,10 @@ def crossing(surface: Surface, grizzly: Grizzly, tolerance: F32) -> Bars | None:
     For few pixels a bar: depth smears them until it tells nothing of the holes' ends. Slow, since
     their pitch is searched for as well; parameters are those of `sharpened`.
     """
-    if (bars := grizzly.bars) is None:
+    bars, seen = grizzly.bars, _seen(surface, grizzly, tolerance)
+    if bars is None or seen is None:
         return None
-    across, along = _in_plane(surface, grizzly, bars)
-    height = grizzly.plane.height(surface.xyz)
-    beneath = height < -tolerance
-    if beneath.sum() < _LEAST_OPEN:
-        return None
-    within = _between(across, beneath) & _between(along, beneath) & ~(height > tolerance)
+    across, along, within = seen
     turns = (across - bars.phase_m) / bars.pitch_m
     between = within & (np.abs(turns - np.round(turns)) > _BESIDE * bars.width_m / bars.pitch_m)
     _, _, clear = _strongest_pair(
@@ -101,10 +93,20 @@ def crossing(surface: Surface, grizzly: Grizzly, tolerance: F32) -> Bars | None:
     return Bars(bars.across, bars.direction, pitch, middle * pitch, bars.width_m)
 
 
-def _in_plane(surface: Surface, grizzly: Grizzly, bars: Bars) -> tuple[F32, F32]:
-    """Where each pixel's ray meets the plane, across and along the bars, (h, w) each [m]."""
+def _seen(surface: Surface, grizzly: Grizzly, tolerance: F32) -> tuple[F32, F32, Mask] | None:
+    """Where each pixel's ray meets the plane, across and along the bars, (h, w) each [m], and
+    whether the screen is there and nothing on it; None where too little beneath it is seen.
+    """
+    if (bars := grizzly.bars) is None:
+        return None
     depth = np.float32(grizzly.plane.offset) / surface.on_rays(grizzly.plane.normal)
-    return surface.on_rays(bars.across) * depth, surface.on_rays(bars.direction) * depth
+    across, along = (surface.on_rays(way) * depth for way in (bars.across, bars.direction))
+    height = grizzly.plane.height(surface.xyz)
+    beneath = height < -tolerance
+    if beneath.sum() < _LEAST_OPEN:
+        return None
+    within = _between(across, beneath) & _between(along, beneath) & ~(height > tolerance)
+    return across, along, within
 
 
 def _between(coordinate: F32, part: Mask) -> Mask:
