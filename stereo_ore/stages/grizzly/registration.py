@@ -31,8 +31,11 @@ _INNER = 0.7
 _RIDGE = 0.35
 """And of a round one's: beside its ridge it falls off by a thirtieth of its width at most."""
 _ROUNDS = 2
-"""Times bars are looked for: first in the plane of all that is near, ore and floor and all, then in
-that of the bars."""
+"""Times the plane is fitted to the bars: those found in a plane of what is near, ore and floor and
+all, then those found in that of the bars."""
+_CLEAR = 0.3
+"""Contrast of bars in the known plane, moved as most of what is near is, with which they are found
+in no other."""
 _FEWEST, LEAST_WEIGHT = 100, 0.2
 """Pixels on bars, with at least this weight in the last fit, that are needed."""
 _TILE_RAD, _FEWEST_TILES = 0.15, 6
@@ -77,9 +80,18 @@ def _within(
     near = pixels.where(np.abs(plane.height(pixels.xyz)) < window_m)
     if len(near.excess) < _FEWEST:
         return None
-    field, _ = _tukey(near, np.array([_mode(near.excess), 0.0, 0.0]))
-    for _ in range(_ROUNDS):
-        fit = _bars(pixels, rig, plane_of(rig, plane, field), site, config)
+
+    def bars(field: F64) -> BarFit:
+        return _bars(pixels, rig, plane_of(rig, plane, field), site, config)
+
+    field = np.array([_mode(near.excess), 0.0, 0.0])
+    fit = bars(field)
+    if fit.contrast < _CLEAR:
+        # Turned, perhaps; or what is smeared between the bars turns the plane of all that is near.
+        tilted = _tukey(near, field)[0]
+        field, fit = max((field, fit), (tilted, bars(tilted)), key=lambda start: start[1].contrast)
+    for again in range(_ROUNDS):
+        fit = bars(field) if again else fit
         if fit.bars is None:
             return None
         inner = fit.narrowed(_INNER if site.bar_profile == "flat" else _RIDGE)
