@@ -285,16 +285,14 @@ def _comb(
         pitches = extent / np.geomspace(MIN_BARS, MAX_BARS, 240)
     centres, balanced = _balanced(position, signal, low, extent)
     for wide in (True, False) if opening_m is None or bar_width_m is None else (True,):
-        folds = [_best_window(centres, balanced, p, bar_width_m) for p in pitches]
-        best = int(np.argmax([f[0] for f in folds]))
-        pitch = float(pitches[best])
+        comb = _best_window(centres, balanced, pitches, bar_width_m)
         if wide:
-            pitches = pitch * np.linspace(0.97, 1.03, 31)
-    return pitch, folds[best][1], folds[best][2]
+            pitches = comb[0] * np.linspace(0.97, 1.03, 31)
+    return comb
 
 
 def _balanced(position: F64, signal: F64, low: float, extent: float) -> tuple[F64, F64]:
-    """The signal in fine bins across the screen: bin centres [m] and sums.
+    """The signal in fine bins across the screen: centres [m] and sums of those that hold any.
 
     Wide bins are first brought to the same weight, then solid and open to the same sum.
     """
@@ -310,26 +308,34 @@ def _balanced(position: F64, signal: F64, low: float, extent: float) -> tuple[F6
         np.bincount((share * FINE_BINS).astype(np.intp), even, FINE_BINS)[:FINE_BINS],
         dtype=np.float64,
     )
-    return low + (np.arange(FINE_BINS) + 0.5) * extent / FINE_BINS, sums
+    held = np.flatnonzero(sums)
+    return low + (held + 0.5) * extent / FINE_BINS, sums[held]
 
 
 def _best_window(
-    position: F64, signal: F64, pitch: float, width_m: float | None
+    position: F64, signal: F64, pitches: F64, width_m: float | None
 ) -> tuple[float, float, float]:
-    """Sum, phase [m] and width [m] of the window whose periodic repetition holds the most
-    signal.
-    """
-    fold = np.bincount(
-        ((position % pitch) / pitch * PHASES).astype(np.intp) % PHASES, signal, PHASES
-    )
-    sums = np.concatenate([[0.0], np.cumsum(np.tile(fold, 2))])
+    """Pitch, phase and width [m] of the window whose periodic repetition holds the most signal."""
+    folds = _folded(position, signal, pitches)
+    sums = np.zeros((len(pitches), 2 * PHASES + 1))
+    np.cumsum(np.tile(folds, 2), axis=1, out=sums[:, 1:])
     if width_m is not None:
-        lengths = np.array([round(width_m / pitch * PHASES)])
+        lengths = np.round(width_m / pitches * PHASES).astype(np.intp)[:, None]
     else:
-        lengths = np.arange(round(MIN_DUTY * PHASES), round(MAX_DUTY * PHASES))
-    starts = np.arange(PHASES)
-    window = sums[starts[:, None] + lengths] - sums[starts][:, None]
-    start, length = np.unravel_index(int(np.argmax(window)), window.shape)
-    middle = (starts[start] + lengths[length] / 2) / PHASES * pitch
-    width = width_m if width_m is not None else float(lengths[length]) / PHASES * pitch
-    return float(window[start, length]), float(middle % pitch), width
+        lengths = np.arange(round(MIN_DUTY * PHASES), round(MAX_DUTY * PHASES))[None]
+    ends = np.arange(PHASES)[:, None] + lengths[:, None]
+    held = sums[np.arange(len(pitches))[:, None, None], ends] - sums[:, :PHASES, None]
+    best, start, length = np.unravel_index(int(np.argmax(held)), held.shape)
+    pitch, bins = float(pitches[best]), float(lengths[best if len(lengths) > 1 else 0, length])
+    middle = (start + bins / 2) / PHASES * pitch
+    return pitch, middle % pitch, bins / PHASES * pitch if width_m is None else width_m
+
+
+def _folded(position: F64, signal: F64, pitches: F64) -> F64:
+    """The signal (N,) at positions [m] summed by phase of each pitch [m], (P, PHASES)."""
+    turns = position / pitches[:, None]
+    turns -= np.floor(turns)
+    turns *= PHASES
+    phase = turns.astype(np.intp) % PHASES + PHASES * np.arange(len(pitches))[:, None]
+    weights = np.broadcast_to(signal, phase.shape).ravel()
+    return np.bincount(phase.ravel(), weights, PHASES * len(pitches)).reshape(-1, PHASES)
