@@ -47,9 +47,8 @@ Hashes = dict[str, str]
 
 def environment() -> str:
     """What bytes may depend on beside the program."""
-    wide = sorted(
-        {"AVX2", "AVX512F", "NEON"} & set(cv2.getCPUFeaturesLine().replace("*", "").split())
-    )
+    widths = {"AVX2", "AVX512-SKX", "NEON"}
+    wide = sorted(widths & set(cv2.getCPUFeaturesLine().replace("*", "").split()))
     packages = {name: version(name) for name in ("numpy", "onnxruntime", "scipy")}
     # Of OpenBLAS: the processor's, or what OPENBLAS_CORETYPE asks for.
     kernels = {

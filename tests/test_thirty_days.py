@@ -173,10 +173,11 @@ class Plant:
         self.ledger.write(f"{time_ns} {self.inbox}/left_{name}.png\n")
 
     def written(self) -> set[tuple[str, int]]:
-        """All frames; on the disk until the end, for a month of them in memory would not be flat."""
+        """All frames; on the disk until the end: in memory a month of them would not be flat."""
         self.ledger.close()
         lines = Path(self.ledger.name).read_text().splitlines()
-        return {(path, int(time_ns)) for time_ns, _, path in (line.partition(" ") for line in lines)}
+        parts = (line.partition(" ") for line in lines)
+        return {(path, int(time_ns)) for time_ns, _, path in parts}
 
     def watch(self, *_: Path, **__: object) -> Iterator[set[tuple[int, str]]]:
         """What the operating system says of new files; to wait for it would take an hour."""

@@ -338,4 +338,5 @@ def _folded(position: F64, signal: F64, pitches: F64) -> F64:
     turns *= PHASES
     phase = turns.astype(np.intp) % PHASES + PHASES * np.arange(len(pitches))[:, None]
     weights = np.broadcast_to(signal, phase.shape).ravel()
-    return np.bincount(phase.ravel(), weights, PHASES * len(pitches)).reshape(-1, PHASES)
+    sums = np.bincount(phase.ravel(), weights, PHASES * len(pitches))
+    return np.asarray(sums, dtype=np.float64).reshape(-1, PHASES)
