@@ -101,6 +101,8 @@ def _registration(moved: Registration | None) -> Json | None:
         "tilt_deg": number(math.degrees(moved.tilt_rad)),
         "worst_m": number(moved.worst_m),
         "sigma_m": number(moved.sigma_m),
+        "slide_m": None if moved.slide_m is None else number(moved.slide_m),
+        "turn_deg": None if moved.turn_rad is None else number(math.degrees(moved.turn_rad)),
         "field_px": _numbers(moved.field_px),
     }
 

@@ -4,6 +4,7 @@ command."""
 import json
 import os
 import resource
+import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -13,7 +14,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from runs import quarter_scene
+from runs import ROOT, quarter_scene
 
 from stereo_ore.plant.sinks.message import Origin, message
 
@@ -171,6 +172,22 @@ def test_a_camera_that_was_moved_is_told_and_gives_no_target(name: str, scene: P
     edit(scene / "site.yaml", MOVED_SITES[name])
     assert run(scene).returncode == 3, "the only frame is not usable"
     assert "SCREEN_MOVED" in told(scene)
+
+
+@pytest.mark.parametrize("slid_m", [0.0, 0.06, -0.06])
+def test_a_camera_that_slid_across_a_known_bar_is_told(slid_m: float, tmp_path: Path) -> None:
+    scene = tmp_path / "scene"
+    shutil.copytree(ROOT / "data" / "large_02", scene)
+    document = yaml.safe_load((scene / "site.yaml").read_text())
+    grizzly = document["grizzly"]
+    across = np.cross(grizzly["plane"]["normal"], grizzly["bar"]["direction"])
+    grizzly["bar"]["point_m"] = (grizzly["bar"]["point_m"] + slid_m * across).tolist()
+    (scene / "site.yaml").write_text(yaml.safe_dump(document))
+    assert run(scene).returncode == (3 if slid_m else 0)
+    record = json.loads((tmp_path / "out" / "frames.jsonl").read_text())
+    assert record["grizzly"]["registration"]["slide_m"] == pytest.approx(-slid_m, abs=0.006)
+    if slid_m:
+        assert "SCREEN_MOVED" in told(scene)
 
 
 @pytest.mark.parametrize(

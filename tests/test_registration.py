@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from screens import DISTANCE, OPENING, RIG, WIDTH, Screen, draw
+from screens import DISTANCE, OPENING, PITCH, RIG, WIDTH, Screen, draw
 
 from stereo_ore.config import GrizzlyConfig, HealthConfig
 from stereo_ore.stages.grizzly import corrected, find, register
@@ -20,6 +20,7 @@ from stereo_ore.stages.health import (
 )
 from stereo_ore.types import (
     F64,
+    BarLine,
     Disparity,
     OreMap,
     Plane,
@@ -119,6 +120,43 @@ def test_a_wrong_baseline_shows_as_bars_that_are_nearer_or_farther(factor: float
     true = draw(replace(WIDE, noise_px=0.0))[0].xyz[..., 2]
     bars = np.abs(WIDE.plane.height(draw(replace(WIDE, noise_px=0.0))[0].xyz)) < 0.001
     assert abs(np.median((depth - true)[bars])) < 0.003
+
+
+@given(st.floats(-0.4, 0.4), st.floats(-3, 3), st.floats(0, np.pi), st.integers(-3, 3))
+@settings(max_examples=15, deadline=None)
+def test_bars_beside_a_known_one_are_told(
+    slid: float, turned_deg: float, yaw: float, number: int
+) -> None:
+    """The site knows one bar, whichever it is; the others lie a share of a pitch to its side."""
+    screen = replace(WIDE, yaw=yaw, lumps=LUMPS)
+    along, across, normal = screen.axes
+    point = np.array([0, 0, DISTANCE]) + (number - slid) * PITCH * across
+    angle = np.radians(turned_deg)
+    direction = np.cos(angle) * along - np.sin(angle) * np.cross(normal, along)
+    site = replace(SITE, bar=BarLine(point, direction))
+    found = measured(seen(screen), screen.plane, site=site)
+    assert found.slide_m is not None
+    assert found.turn_rad is not None
+    assert abs(found.slide_m) == pytest.approx(abs(slid) * PITCH, abs=0.03 * OPENING)
+    assert np.degrees(found.turn_rad) == pytest.approx(turned_deg, abs=0.5)
+    told = [reason.code for reason in bar_doubts(found, OPENING, HEALTH)]
+    if abs(slid) * PITCH > 0.14 * OPENING or abs(turned_deg) > 1.5:
+        assert told == ["SCREEN_MOVED"]
+    if abs(slid) * PITCH < 0.06 * OPENING and abs(turned_deg) < 0.5:
+        assert told == []
+
+
+def test_in_a_grid_the_known_bar_is_of_those_that_run_its_way() -> None:
+    screen = replace(WIDE, yaw=0.4, cross=1.5 * OPENING)
+    along, across, _ = screen.axes
+    for direction, side in ((along, across), (across, along)):
+        point = np.array([0, 0, DISTANCE]) + 0.03 * side
+        site = replace(SITE, cross_opening_m=screen.cross, bar=BarLine(point, direction))
+        found = measured(seen(screen), screen.plane, site=site)
+        assert found.slide_m is not None
+        assert found.turn_rad is not None
+        assert abs(found.slide_m) == pytest.approx(0.03, abs=0.01)
+        assert abs(np.degrees(found.turn_rad)) < 0.5
 
 
 def test_few_bars_at_one_end_tell_little_of_the_other() -> None:

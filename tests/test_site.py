@@ -12,7 +12,7 @@ from stereo_ore.errors import ConfigError
 from stereo_ore.io.calibration.geometry import from_vector
 from stereo_ore.io.site import HandEyeRecord, load_site, save_arm, save_site
 from stereo_ore.transforms import inverse, rotation_fault, transform_points
-from stereo_ore.types import Plane, Site, Volume
+from stereo_ore.types import BarLine, Plane, Site, Volume
 
 EXAMPLE = Path(__file__).parents[1] / "calib" / "site.yaml"
 RECORD = HandEyeRecord(method="touched points", used=5, dropped=("p3",), rms_mm=4.2, max_mm=7.5)
@@ -97,14 +97,17 @@ def test_written_and_read_again_is_the_same(turn, offset: float, arm: bool, tmp_
     normal = np.array([turn[0], turn[1], -1.0])
     normal /= np.linalg.norm(normal)
     box = (np.array([-5.0, -5, -5]), np.array([5.0, 5, 5]))
-    site = Site(
-        T, Volume(T if arm else np.eye(4), *box), Plane(normal, -offset), 0.3, 0.07, None, *box
-    )
+    along = np.cross(normal, (0.0, 1, 0))
+    bar = BarLine(-offset * normal, along / np.linalg.norm(along))
+    volume, plane = Volume(T if arm else np.eye(4), *box), Plane(normal, -offset)
+    site = Site(T, volume, plane, 0.3, 0.07, None, *box, bar=bar)
     save_site(site, tmp_path / "site.yaml", RECORD)
     again = load_site(tmp_path / "site.yaml")
     assert np.array_equal(again.T_arm_camera, T)
     assert np.array_equal(again.volume.T_box_camera, site.volume.T_box_camera)
     assert (again.plane.normal.tolist(), again.plane.offset) == (normal.tolist(), -offset)
+    assert np.allclose(again.bar.point, bar.point, atol=1e-12)
+    assert np.allclose(again.bar.direction, bar.direction, atol=1e-12)
     assert (again.opening_m, again.reach_min_m.tolist()) == (0.3, box[0].tolist())
 
 
@@ -166,6 +169,18 @@ BROKEN = {
     "openings in millimetres": (
         {"grizzly__opening_m": None, "grizzly__openings_m": [0.3, 400]},
         "grizzly.openings_m: 400.0 m is more than 3 m",
+    ),
+    "a bar without direction": (
+        {"grizzly__bar": {"frame": "camera", "point_m": [0, 0, 3], "direction": [0, 0, 0]}},
+        "grizzly.bar.direction: must not be zero",
+    ),
+    "a bar in millimetres": (
+        {"grizzly__bar": {"frame": "camera", "point_m": [0, 0, 3000], "direction": [1, 0, 0]}},
+        "grizzly.bar.point_m: [0.0, 0.0, 3000.0] m is more than 25 m",
+    ),
+    "a bar beside the plane": (
+        {"grizzly__bar": {"frame": "arm", "point_m": [0, 0, 0.9], "direction": [1, 0, 0]}},
+        "above grizzly.plane",
     ),
     "no profile": ({"grizzly__bar_profile": "square"}, "bar_profile"),
     "no opening": ({"grizzly__opening_m": 0}, "opening_m"),

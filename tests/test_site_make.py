@@ -53,6 +53,8 @@ def test_screen_bars_and_volume_are_found(made: Path) -> None:
     assert np.all(size > [3.8, 3.3])
     assert np.all(size < [4.8, 4.0])
     assert np.array_equal(site.T_arm_camera, truth.T_arm_camera)
+    (bars,) = (row for row in differences(truth, site) if row.what == "bars within the plane")
+    assert bars.ok, bars.found
 
 
 def test_a_picture_shows_what_was_found(made: Path) -> None:
@@ -114,8 +116,16 @@ def test_differences_name_a_plane_that_is_off_and_a_volume_that_is_small(made: P
     assert site.volume is not None
     off = replace(site, plane=Plane(site.plane.normal, site.plane.offset - 0.05))
     small = replace(site, volume=replace(site.volume, max_m=site.volume.max_m * 0.5))
-    assert [row.ok for row in differences(off, site)] == [False, True]
-    assert [row.ok for row in differences(small, site)] == [True, False]
+    assert site.bar is not None
+    assert site.bar_width_m is not None
+    across = np.cross(site.plane.normal, site.bar.direction)
+    slid = replace(site, bar=replace(site.bar, point=site.bar.point + 0.04 * across))
+    pitch = site.opening_m + site.bar_width_m
+    other = replace(site, bar=replace(site.bar, point=site.bar.point + 3 * pitch * across))
+    assert [row.ok for row in differences(off, site)] == [False, True, True]
+    assert [row.ok for row in differences(slid, site)] == [True, False, True]
+    assert [row.ok for row in differences(small, site)] == [True, True, False]
+    assert all(row.ok for row in differences(other, site))
     assert list(differences(Site(), site)) == []
 
 

@@ -13,6 +13,7 @@ from stereo_ore.stages import cloud, grizzly, matching
 from stereo_ore.transforms import frame_from_normal
 from stereo_ore.types import (
     F64,
+    BarLine,
     Bars,
     Disparity,
     Grizzly,
@@ -158,7 +159,16 @@ def _site(
         cross_opening_m=screen.cross_opening_m or known.cross_opening_m,
         bar_width_m=bars.width_m,
         volume=volume,
+        bar=_middle_bar(screen.plane, bars, T),
     )
+
+
+def _middle_bar(plane: Plane, bars: Bars, T_screen_camera: F64) -> BarLine:
+    """The bar nearest to the middle of the screen, at its point there."""
+    middle = -T_screen_camera[:3, :3].T @ T_screen_camera[:3, 3]
+    point = middle - bars.beside(middle) * bars.across
+    # The plane was fitted once more after the bars.
+    return BarLine(point - float(plane.height(point)) * plane.normal, bars.direction)
 
 
 def _screen_from_camera(plane: Plane, bars: Bars, low: F64, high: F64) -> tuple[F64, F64]:
@@ -204,10 +214,27 @@ def differences(given: Site, found: Site) -> Iterator[Difference]:
         ok = abs(off) < PLANE_OPENINGS * opening and tilt < PLANE_DEG
         place = f"{1000 * off:+.0f} mm and {tilt:.2f}° off"
         yield Difference("plane of the bar tops", "0 mm and 0°", place, ok)
+    if given.bar is not None and found.bar is not None and found.cross_opening_m is None:
+        yield _bar_difference(given.bar, found)
     if given.volume is not None:
         inside = corners + _BEYOND * opening * _inwards(corners)
         held = int(given.volume.contains(inside).sum())
         yield Difference("corners in the working volume", "4", str(held), held == len(corners))
+
+
+def _bar_difference(given: BarLine, found: Site) -> Difference:
+    """Of two bars, which may be different ones of the screen."""
+    bar, opening, width = found.bar, found.opening_m, found.bar_width_m
+    assert bar is not None, "a survey has bars"
+    assert opening is not None, "and an opening"
+    assert width is not None, "and their width"
+    across = float(np.linalg.norm(np.cross(bar.direction, given.point - bar.point)))
+    off = abs(across - (opening + width) * round(across / (opening + width)))
+    sine = float(np.linalg.norm(np.cross(given.direction, bar.direction)))
+    turn = float(np.degrees(np.arcsin(min(1.0, sine))))
+    ok = off < PLANE_OPENINGS * opening and turn < PLANE_DEG
+    place = f"{1000 * off:.0f} mm and {turn:.2f}° off"
+    return Difference("bars within the plane", "0 mm and 0°", place, ok)
 
 
 def _inwards(corners: F64) -> F64:

@@ -385,6 +385,9 @@ class HealthConfig(StageConfig):
         le=0.5,
     )
     max_bar_shift_px: float = param(0.15, "or in disparity, where that is more", "px", ge=0, le=1)
+    max_bar_turn_rad: float = param(
+        0.0175, "largest turn of bars about the screen's normal", "rad", gt=0, le=0.2
+    )
     max_bar_drift: float = param(
         0.04, "change of their place over a run that is told, in openings", gt=0, le=0.5
     )

@@ -17,8 +17,14 @@ from stereo_ore.errors import ConfigError
 from stereo_ore.io import keep_out as places
 from stereo_ore.io.posture import PostureSection, posture_document
 from stereo_ore.io.yaml_io import load_yaml
-from stereo_ore.transforms import inverse, nearest_rotation, rotate, rotation_fault
-from stereo_ore.types import F64, BarProfile, Plane, Site, Survey, Volume
+from stereo_ore.transforms import (
+    inverse,
+    nearest_rotation,
+    rotate,
+    rotation_fault,
+    transform_points,
+)
+from stereo_ore.types import F64, BarLine, BarProfile, Plane, Site, Survey, Volume
 
 _log = logging.getLogger(__name__)
 
@@ -26,6 +32,8 @@ _FORMAT = "stereo_ore/site"
 _FARTHEST_M = 25.0
 """Coordinates of camera, volume, reach and plane: a screen has a few metres, a great arm twenty."""
 
+_BAR_OFF_M = 0.5
+"""A bar's point may lie so far from the plane of the bar tops."""
 OPENING_M, BAR_WIDTH_M = (0.005, 3.0), (0.001, 1.0)
 """Clear distances between bars, and their widths, that can be."""
 
@@ -54,6 +62,14 @@ class _Plane(Section):
     offset_m: Number
 
 
+class _Bar(Section):
+    """Where one bar lies: a point on the middle of its top, and where it runs."""
+
+    frame: _Frame
+    point_m: _Vector
+    direction: _Vector
+
+
 def _plane_or_auto(value: object) -> object:
     """``auto`` leaves the plane to be found."""
     return None if value == "auto" else value
@@ -65,6 +81,7 @@ class _Grizzly(Section):
     bar_profile: BarProfile = "flat"
     bar_width_m: Length | None = None
     plane: Annotated[_Plane | None, BeforeValidator(_plane_or_auto)] = None
+    bar: _Bar | None = None
 
 
 class HandEyeRecord(Section):
@@ -149,9 +166,13 @@ def _faults(file: _File) -> list[str]:
         found.append("grizzly.plane.normal: must not be zero")
     if file.grizzly.opening_m is not None and file.grizzly.openings_m is not None:
         found.append("grizzly: opening_m is of slots, openings_m of a grid: give one of them")
+    bar = file.grizzly.bar
+    if bar and not any(bar.direction):
+        found.append("grizzly.bar.direction: must not be zero")
     for name, part in (
         ("working_volume", file.working_volume),
         ("grizzly.plane", file.grizzly.plane),
+        ("grizzly.bar", bar),
     ):
         if part and part.frame == "arm" and file.arm_from_camera is None:
             found.append(f"{name}: is in the arm frame, but arm_from_camera is not given")
@@ -194,6 +215,8 @@ def _length_faults(file: _File) -> list[str]:
     grizzly = file.grizzly
     if grizzly.plane and any(grizzly.plane.normal):
         lengths.append(("grizzly.plane.offset_m", [_offset(grizzly.plane)], 0.0, _FARTHEST_M))
+    if grizzly.bar:
+        lengths.append(("grizzly.bar.point_m", grizzly.bar.point_m, 0.0, _FARTHEST_M))
     for name, value, limits in (
         ("opening_m", grizzly.opening_m, OPENING_M),
         *(("openings_m", side, OPENING_M) for side in grizzly.openings_m or ()),
@@ -246,6 +269,7 @@ def _site(file: _File, path: Path) -> Site:
         survey=_survey(file.survey),
         keep_out=tuple(places.in_camera(entry, T_arm_camera) for entry in file.keep_out),
         posture=file.posture.link(path.parent) if file.posture else None,
+        bar=None if grizzly.bar is None else _camera_bar(grizzly.bar, T_arm_camera),
     )
 
 
@@ -278,6 +302,14 @@ def _camera_plane(plane: _Plane, T_arm_camera: F64 | None) -> Plane:
     return Plane(-normal, -offset) if offset > 0 else Plane(normal, offset)
 
 
+def _camera_bar(bar: _Bar, T_arm_camera: F64 | None) -> BarLine:
+    T = inverse(_to(bar.frame, T_arm_camera))
+    direction = rotate(T, np.array(bar.direction))
+    return BarLine(
+        transform_points(T, np.array(bar.point_m)), direction / np.linalg.norm(direction)
+    )
+
+
 def _view_faults(site: Site | None) -> list[str]:
     """What the camera can't see."""
     found: list[str] = []
@@ -287,6 +319,14 @@ def _view_faults(site: Site | None) -> list[str]:
         found.append(
             "grizzly.plane: lies behind the camera; check the sign of offset_m, and arm_from_camera"
         )
+    if site.bar is not None and site.plane is not None:
+        height = float(site.plane.height(site.bar.point))
+        if abs(height) > _BAR_OFF_M:
+            side = "above" if height > 0 else "below"
+            found.append(
+                f"grizzly.bar.point_m: lies {1000 * abs(height):.0f} mm {side} grizzly.plane, the"
+                " bar tops"
+            )
     if site.volume is not None:
         corners = site.volume.corners
         if corners[:, 2].max() <= 0:
@@ -392,6 +432,9 @@ def _grizzly(site: Site) -> dict[str, Any]:
         if plane is None
         else {"frame": "camera", "normal": plane.normal.tolist(), "offset_m": plane.offset}
     )
+    if (bar := site.bar) is not None:
+        place = {"point_m": bar.point.tolist(), "direction": bar.direction.tolist()}
+        section["bar"] = {"frame": "camera"} | place
     return section
 
 

@@ -42,6 +42,7 @@ from stereo_ore.types.results import (
     StrikePlan,
 )
 from stereo_ore.types.site import (
+    BarLine,
     BarProfile,
     Capsule,
     KeepOut,
@@ -85,6 +86,7 @@ __all__ = [
     "RELIEF_WINDOWS_PX",
     "U8",
     "Background",
+    "BarLine",
     "BarProfile",
     "Bars",
     "CameraModel",

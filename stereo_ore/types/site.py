@@ -92,6 +92,20 @@ class PostureLink:
 
 
 @dataclass(frozen=True)
+class BarLine:
+    """Where one bar of a screen lies: a point (3,) [m] on the middle of its top, and the unit
+    vector (3,) along which it runs; camera frame.
+    """
+
+    point: F64
+    direction: F64
+
+    def __post_init__(self) -> None:
+        check_shape(self, "point", self.point, 3)
+        check_shape(self, "direction", self.direction, 3)
+
+
+@dataclass(frozen=True)
 class Survey:
     """With which camera a site was surveyed, by the fingerprint of its calibration, and whether a
     person has confirmed what was found.
@@ -109,7 +123,8 @@ class Site:
     the bodies of `keep_out` are in the camera frame.
 
     `opening_m` is the clear distance of the bars, `cross_opening_m` that of bars across them, in a
-    grid; None where there are none or nobody has said so. `reach_min_m` and `reach_max_m` (3,)
+    grid; None where there are none or nobody has said so; `bar` where one of them lies, which tells
+    a camera that slid along the screen. `reach_min_m` and `reach_max_m` (3,)
     bound the tool's tip in the arm frame.
     """
 
@@ -126,6 +141,7 @@ class Site:
     posture: PostureLink | None = None
     cross_opening_m: float | None = None
     bar_profile: BarProfile = "flat"
+    bar: BarLine | None = None
 
     def __post_init__(self) -> None:
         if self.T_arm_camera is not None:

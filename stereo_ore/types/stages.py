@@ -191,6 +191,11 @@ class Bars:
     phase_m: float
     width_m: float
 
+    def beside(self, point: F64) -> float:
+        """How far [m] a point (3,) lies across the middle of the bar nearest to it."""
+        off = float(self.across @ point) - self.phase_m
+        return off - self.pitch_m * round(off / self.pitch_m)
+
 
 @dataclass(frozen=True)
 class Registration:
@@ -200,7 +205,9 @@ class Registration:
     `offset_m` how far the bars seem to lie above that plane, in the median; `tilt_rad` the angle
     between both planes; `worst_m` the largest distance between them over the bars that were seen;
     `sigma_m` the largest standard deviation of the measured plane's height over the screen in view;
-    `px_m` the height that a pixel of disparity is there.
+    `px_m` the height that a pixel of disparity is there. `slide_m` is how far bars lie to the side
+    of the one that the site knows, along normal × direction and less whole pitches, and `turn_rad`
+    how they are turned about the normal; None where it knows none.
     """
 
     field_px: F64
@@ -209,6 +216,8 @@ class Registration:
     worst_m: float
     sigma_m: float
     px_m: float
+    slide_m: float | None = None
+    turn_rad: float | None = None
 
     def __post_init__(self) -> None:
         check_shape(self, "field_px", self.field_px, 3)

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from stereo_ore.lab.bench.fault_scenes import Case
-from stereo_ore.types import F64, U8, CameraModel, Plane, Site, StereoCalibration
+from stereo_ore.types import F64, U8, BarLine, CameraModel, Plane, Site, StereoCalibration
 
 OTHER_ZED_BASELINE = 0.063 / 0.12
 """A ZED Mini's file for a ZED 2."""
@@ -97,15 +97,17 @@ def _moved(site: Site, T_old_new: F64) -> Site:
     """The site as it is taken to be in the frame of a camera that has moved since: X_old =
     T_old_new · X_new.
     """
-    plane, volume, T = site.plane, site.volume, site.T_arm_camera
+    plane, volume, T, bar = site.plane, site.volume, site.T_arm_camera, site.bar
     if plane is not None:
         offset = plane.offset - float(plane.normal @ T_old_new[:3, 3])
         plane = Plane(T_old_new[:3, :3].T @ plane.normal, offset)
     if volume is not None:
         volume = replace(volume, T_box_camera=volume.T_box_camera @ T_old_new)
-    return replace(
-        site, plane=plane, volume=volume, T_arm_camera=None if T is None else T @ T_old_new
-    )
+    if bar is not None:
+        R, t = T_old_new[:3, :3], T_old_new[:3, 3]
+        bar = BarLine(R.T @ (bar.point - t), R.T @ bar.direction)
+    T = None if T is None else T @ T_old_new
+    return replace(site, plane=plane, volume=volume, bar=bar, T_arm_camera=T)
 
 
 def _yawed(angle_deg: float) -> _Fault:
@@ -167,10 +169,10 @@ SMALL_FAULTS: dict[str, _Fault] = {
     "both columns +10 px": _columns(10.0),
     **{f"right eye yawed {a:+.2f}°": _yawed(a) for a in (-0.05, -0.02, 0.02, 0.05)},
     **{f"camera {1000 * d:+.0f} mm along z": _slid((0, 0, d)) for d in (-0.02, -0.01, 0.01, 0.02)},
-    **{f"camera {1000 * d:+.0f} mm along x": _slid((d, 0, 0)) for d in (0.01, 0.02)},
+    **{f"camera {1000 * d:+.0f} mm along x": _slid((d, 0, 0)) for d in (0.01, 0.02, 0.05)},
     **{f"camera {a:+.1f}° about x": _bumped((a, 0, 0)) for a in (0.3, 0.5, 1.0)},
     **{f"camera {a:+.1f}° about y": _bumped((0, a, 0)) for a in (-1.0, 0.3, 0.5)},
-    "camera +0.5° about z": _bumped((0, 0, 0.5)),
+    **{f"camera {a:+.1f}° about z": _bumped((0, 0, a)) for a in (0.5, 2.0)},
 }
 """Errors of set-up of about the size at which a strike begins to be wrong."""
 

@@ -13,7 +13,7 @@ import numpy as np
 from stereo_ore.errors import SourceError
 from stereo_ore.io import calibration
 from stereo_ore.io.site import load_site
-from stereo_ore.types import F64, CameraModel, Plane, Site, StereoCalibration, Volume
+from stereo_ore.types import F64, BarLine, CameraModel, Plane, Site, StereoCalibration, Volume
 
 BELOW_M, ABOVE_M = 0.15, 1.0
 """Depth and height of the working volume about the bar tops."""
@@ -38,7 +38,8 @@ def load_rig(folder: Path) -> tuple[StereoCalibration, Site]:
         T_screen_camera = _screen_from_camera(calib, truth)
         # Row z of the transform: height over the screen.
         plane = Plane(T_screen_camera[2, :3], -float(T_screen_camera[2, 3]))
-        site = Site(None, _volume(T_screen_camera, truth), plane, opening, bar_width)
+        volume, bar = _volume(T_screen_camera, truth), _bar(T_screen_camera, truth)
+        site = Site(None, volume, plane, opening, bar_width, bar=bar)
         return _calibration(folder.name, calib), site
     except (OSError, ValueError) as fault:
         raise SourceError(f"truth can't be read: {fault}", file=folder) from None
@@ -71,6 +72,16 @@ def _screen_from_camera(calib: dict[str, Any], truth: dict[str, Any]) -> F64:
     T_screen_camera: F64 = np.linalg.solve(np.array(truth["T_world_screen"], float), T_world_camera)
     T_screen_camera[:3, 3] /= 1000
     return T_screen_camera
+
+
+def _bar(T_screen_camera: F64, truth: dict[str, Any]) -> BarLine | None:
+    """The middle bar, where the truth has their places."""
+    middles = truth.get("bar_centres_x_mm")
+    if not middles:
+        return None
+    R, t = T_screen_camera[:3, :3], T_screen_camera[:3, 3]
+    point = np.array([middles[len(middles) // 2] / 1000, 0, 0])
+    return BarLine((point - t) @ R, R[1].copy())
 
 
 def _volume(T_screen_camera: F64, truth: dict[str, Any]) -> Volume:

@@ -22,7 +22,7 @@ from stereo_ore.lab.synth.sensor import expose, exposure_gain
 from stereo_ore.lab.synth.spec import SceneSpec
 from stereo_ore.lab.synth.truth import LumpTruth, lump_truths
 from stereo_ore.transforms import inverse
-from stereo_ore.types import F32, I32, Plane, Site, StereoCalibration, StereoPair, Volume
+from stereo_ore.types import F32, I32, BarLine, Plane, Site, StereoCalibration, StereoPair, Volume
 
 
 @dataclass(frozen=True)
@@ -120,6 +120,9 @@ def site_of(spec: SceneSpec, rectified: Rectification) -> Site:
     origin = (T_ws[:3, 3] - T_arm_camera[:3, 3]) @ T_arm_camera[:3, :3]
     plane = Plane(normal, float(normal @ origin))
     screen = spec.screen
+    x = screen.bar_centres[len(screen.bar_centres) // 2]
+    bar = (T_ws @ (x, 0, 0, 1))[:3] - T_arm_camera[:3, 3]
+    turned = T_arm_camera[:3, :3]
     return Site(
         T_arm_camera,
         volume,
@@ -128,4 +131,5 @@ def site_of(spec: SceneSpec, rectified: Rectification) -> Site:
         screen.bar_width,
         cross_opening_m=screen.cross_opening,
         bar_profile="round" if screen.round else "flat",
+        bar=BarLine(bar @ turned, T_ws[:3, 1] @ turned),
     )

@@ -16,7 +16,7 @@ import numpy as np
 from stereo_ore.config import GrizzlyConfig
 from stereo_ore.stages.grizzly.bars import BarFit, fit_bars
 from stereo_ore.stages.grizzly.sample import Sample, tolerances
-from stereo_ore.types import F32, F64, Disparity, Mask, Plane, Registration, Rig, Site
+from stereo_ore.types import F32, F64, BarLine, Disparity, Mask, Plane, Registration, Rig, Site
 
 _SAMPLE = 10_000
 """Pixels looked at."""
@@ -104,7 +104,8 @@ def _within(
     seen = weight > LEAST_WEIGHT
     if seen.sum() < _FEWEST or (covariance := _covariance(on_bars, field, weight)) is None:
         return None
-    return _described(on_bars.where(seen), pixels, rig, plane, field, covariance)
+    moved = _described(on_bars.where(seen), pixels, rig, plane, field, covariance)
+    return moved if site.bar is None else _beside(moved, fit, plane_of(rig, plane, field), site.bar)
 
 
 def corrected(disparity: Disparity, registration: Registration | None, rig: Rig) -> Disparity:
@@ -229,6 +230,21 @@ def _described(
     px_m = float(rig.depth_sigma(np.median(seen.depth), 1.0)) * abs(float(plane.normal[2]))
     sigma = float(np.percentile(_height_sigma(pixels, rig, plane, covariance), 99))
     return Registration(field, float(np.median(height)), tilt, worst, sigma, px_m)
+
+
+def _beside(moved: Registration, fit: BarFit, plane: Plane, bar: BarLine) -> Registration:
+    """The registration with how far to the side of a known bar others were measured.
+
+    Errors of disparity move points along their rays: the known one is looked at where its ray meets
+    the plane measured.
+    """
+    combs = [bars for bars in (fit.bars, fit.cross) if bars is not None]
+    bars = max(combs, key=lambda each: abs(float(each.direction @ bar.direction)))
+    direction = bars.direction * np.sign(bars.direction @ bar.direction)
+    turn = float(np.arcsin(np.clip(plane.normal @ np.cross(bar.direction, direction), -1, 1)))
+    at = bar.point * (plane.offset / float(plane.normal @ bar.point))
+    side = np.sign(bars.across @ np.cross(plane.normal, bar.direction))
+    return replace(moved, slide_m=-float(side) * bars.beside(at), turn_rad=turn)
 
 
 def _height_sigma(pixels: _Pixels, rig: Rig, plane: Plane, covariance: F64) -> F64:

@@ -113,7 +113,7 @@ def bar_doubts(
     moved: Registration | None, opening_m: float | None, config: HealthConfig
 ) -> Iterator[Reason]:
     """SCREEN_MOVED where the bars were surely measured farther from their place than may be
-    corrected, SCREEN_UNSURE where they don't tell of it.
+    corrected, or to its side, which can't be; SCREEN_UNSURE where they don't tell of it.
 
     Their whole plane counts, which thousands of pixels tell to millimetres, not the noise of one
     depth; of few bars at one end it says little about the other.
@@ -131,9 +131,23 @@ def bar_doubts(
         limit = f"up to {1000 * moved.worst_m:.0f} mm off, {1000 * most:.0f} mm may be corrected"
         remedy = "was the camera moved, or is the calibration of another one?"
         yield Reason("SCREEN_MOVED", f"{text} and {limit} (health.max_bar_shift): {remedy}")
+    elif _beside(moved, most, config):
+        text = f"the bars are measured {1000 * abs(moved.slide_m or 0):.0f} mm beside their place"
+        turn = f"turned by {np.degrees(moved.turn_rad or 0):.2f}° in the screen"
+        limits = f"{1000 * most:.0f} mm and {np.degrees(config.max_bar_turn_rad):.1f}° may be"
+        keys = "(health.max_bar_shift, health.max_bar_turn_rad)"
+        remedy = "was the camera or the screen moved, or is the calibration of another one?"
+        yield Reason("SCREEN_MOVED", f"{text}, {turn}; {limits} {keys}: {remedy}")
     elif _UNSURE * moved.sigma_m > most:
         text = f"what is seen of the bars tells their plane to {1000 * moved.sigma_m:.0f} mm only"
         yield _unsure(text, most / _UNSURE)
+
+
+def _beside(moved: Registration, most_m: float, config: HealthConfig) -> bool:
+    """Whether the bars lie beside the one that the site knows, or run in another direction."""
+    if moved.slide_m is None or moved.turn_rad is None:
+        return False
+    return abs(moved.slide_m) > most_m or abs(moved.turn_rad) > config.max_bar_turn_rad
 
 
 def unmeasured_doubts(
