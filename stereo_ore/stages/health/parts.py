@@ -51,6 +51,8 @@ _PHASES, _BENT = 24, 0.08
 """Places of a pitch, and how many pitches beside the comb bars of a band of rows may be;"""
 _FEWEST_SEEN, _MOST_PHASES = 150, 0.8
 """pixels of a band that tell of it, at so many of these places: bars along the rows do not;"""
+_LEAST_BARS, _ALTERNATES = 3, 0.1
+"""so many bars, beside each of which a share of the pixels that tell is open, and one solid;"""
 _CLEAR_GAIN, _CLEARER_BENT = 4.0, 1.3
 """and how much better they must lie there: standard deviations of chance, and times as well."""
 _FEWEST = 40
@@ -240,7 +242,26 @@ def _bent(excess: F32, turns: F32, inside: Mask) -> Mask:
     judged = (seen > _FEWEST_SEEN) & ((count >= 2).mean(1) > _MOST_PHASES)
     clear = (gain > _CLEAR_GAIN * chance) & (likeness.max(1) > _CLEARER_BENT * likeness[:, 0])
     far = np.minimum(shift, _PHASES - shift) > _BENT * _PHASES
-    return np.asarray(judged & clear & far)
+    bent = judged & clear & far
+    if bent.any():
+        bent &= _bars_seen(v, turns[v, u], signal[v, u], len(excess)) >= _LEAST_BARS
+    return np.asarray(bent)
+
+
+def _bars_seen(v: I32, turns: F32, signal: F32, height: int) -> F64:
+    """Number (h,) of pitches that are solid in a part and open in another, in the band of each
+    row: the edge of the frame, which is askew to the rows, has one at each end.
+    """
+    number = np.floor(turns).astype(np.intp)
+    number -= number.min(initial=0)
+    shape = (height, int(number.max(initial=0)) + 1)
+    place = v * shape[1] + number
+    solid, open_ = (
+        _banded(np.bincount(place, part, height * shape[1]).reshape(shape).astype(np.float32))
+        for part in (signal > 0, signal < 0)
+    )
+    both = np.minimum(solid, open_) > _ALTERNATES * (solid + open_)
+    return np.asarray(both.sum(1), np.float64)
 
 
 def _by_row(index: I32, part: Mask) -> F32:
