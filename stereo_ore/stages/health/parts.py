@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from stereo_ore.config import HealthConfig
 from stereo_ore.types import (
@@ -248,7 +249,7 @@ def _bent(excess: F32, turns: F32, inside: Mask) -> Mask:
     return np.asarray(bent)
 
 
-def _bars_seen(v: I32, turns: F32, signal: F32, height: int) -> F64:
+def _bars_seen(v: npt.NDArray[np.intp], turns: F32, signal: F32, height: int) -> F64:
     """Number (h,) of pitches that are solid in a part and open in another, in the band of each
     row: the edge of the frame, which is askew to the rows, has one at each end.
     """
