@@ -24,13 +24,20 @@ from asyncua.sync import Client
 from stereo_ore.plant.sinks import opcua, supervisor
 from stereo_ore.plant.sinks.message import Origin, message
 from stereo_ore.plant.sinks.opcua import OpcUaSink
-from stereo_ore.plant.sinks.opcua_model import CONTROL, NAMESPACE, OPCUA_SLOTS, PAYLOAD, UNITS
+from stereo_ore.plant.sinks.opcua_model import (
+    MODEL,
+    NAMESPACE,
+    OPCUA_SLOTS,
+    POSTURE_SLOTS,
+    UNITS,
+    WRITTEN_FOLDERS,
+)
 from stereo_ore.plant.sinks.opcua_nodeset import nodeset
 from stereo_ore.version import __version__
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:asyncua")
 
-VARIABLES = {variable.name: variable for variable in (*PAYLOAD, *CONTROL)}
+VARIABLES = {variable.name: variable for variable in MODEL}
 CODES = ua.StatusCodes
 STAMP = 1_795_000_000_123_456_789
 
@@ -195,6 +202,7 @@ def test_a_part_can_not_be_monitored_and_the_rest_can(sink: OpcUaSink, arm: Arm)
 
 def test_arrays_tell_their_rank_and_length(sink: OpcUaSink, arm: Arm):
     lengths = dict.fromkeys(("Position", "Direction", "Size", "Sigma", "Centre"), 48)
+    lengths |= {"From": 48, "To": 48, "Name": POSTURE_SLOTS, "Radius": POSTURE_SLOTS}
     lengths |= {"VolumeBounds": 32, "AlternatePosition": 144, "AlternateDirection": 144}
     lengths |= dict.fromkeys(("Reasons", "Foreign"), 0)
     lengths |= dict.fromkeys(
@@ -440,9 +448,7 @@ def test_node_opcua_loads_the_nodeset_with_units(tmp_path: Path):
     rows = javascript("load", str(file))
     kind = rows.pop("the type")
     assert (kind["id"], kind["of"]) == ("StereoOreType", "BaseObjectType")
-    assert kind["mandatory"] == [
-        f"{variable.folder}.{variable.name}" for variable in (*PAYLOAD, *CONTROL)
-    ]
+    assert kind["mandatory"] == [f"{variable.folder}.{variable.name}" for variable in MODEL]
     assert rows.keys() == VARIABLES.keys()
     for name, variable in VARIABLES.items():
         row = rows[name]
@@ -454,7 +460,7 @@ def test_node_opcua_loads_the_nodeset_with_units(tmp_path: Path):
         )
         assert (row["text"], row["frame"]) == (variable.text, variable.frame or None)
         assert row["id"] == f"StereoOre.{variable.folder}.{name}"
-        assert row["access"] == (3 if variable.folder == "Acknowledgement" else 1)
+        assert row["access"] == (3 if variable.folder in WRITTEN_FOLDERS else 1)
         assert ua.VariantType(row["type"]).name == variable.type
 
 

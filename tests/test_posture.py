@@ -4,6 +4,7 @@ target."""
 import json
 import socket
 import time
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,13 @@ from stereo_ore.io.posture import PostureFile, parse_posture, recorded_postures
 from stereo_ore.io.site import load_site, save_site
 from stereo_ore.lab import synth
 from stereo_ore.lab.synth.foreign import TOOL
-from stereo_ore.plant.posture import PostureServer, postures_of
+from stereo_ore.plant.posture import (
+    PostureInbox,
+    PostureServer,
+    live_postures,
+    posture_server,
+    written_by_opcua,
+)
 from stereo_ore.runs.driver import frame_lines
 from stereo_ore.stages.foreign import arm_places
 from stereo_ore.types import Capsule, FrameResult, PostureLink, Site
@@ -104,8 +111,10 @@ def test_a_file_with_a_wrong_line_is_refused(lines: list[bytes], told: str, tmp_
 @pytest.mark.parametrize(
     ("posture", "told"),
     [
-        ({}, "one of file and listen"),
-        ({"file": "a", "listen": "localhost:1"}, "one of file and listen"),
+        ({}, "one of file, listen and opcua"),
+        ({"file": "a", "listen": "localhost:1"}, "one of file, listen and opcua"),
+        ({"listen": "localhost:1", "opcua": True}, "one of file, listen and opcua"),
+        ({"opcua": False}, "opcua: Input should be True"),
         ({"listen": "5601"}, "listen"),
         ({"file": "a", "max_age_s": 0}, "max_age_s"),
         ({"file": "a", "max_age": 1}, "did you mean max_age_s"),
@@ -126,6 +135,8 @@ def test_a_posture_needs_the_arm_and_a_file_that_is_there(tmp_path: Path) -> Non
         recorded_postures(site)
     with pytest.raises(ConfigError, match=r"posture\.listen.*Give posture\.file"):
         recorded_postures(replace(site, posture=PostureLink(0.2, listen=("localhost", 1))))
+    with pytest.raises(ConfigError, match=r"posture\.opcua.*Give posture\.file"):
+        recorded_postures(replace(site, posture=PostureLink(0.2, opcua=True)))
     document = yaml.safe_load((tmp_path / "site.yaml").read_text())
     del document["arm_from_camera"], document["working_volume"]
     (tmp_path / "site.yaml").write_text(yaml.safe_dump(document))
@@ -134,9 +145,11 @@ def test_a_posture_needs_the_arm_and_a_file_that_is_there(tmp_path: Path) -> Non
 
 
 def test_a_site_with_a_posture_survives_a_round_trip(tmp_path: Path) -> None:
-    for link in (PostureLink(0.5, file=tmp_path / "arm.jsonl"), PostureLink(1, listen=("::1", 7))):
-        if link.listen == ("::1", 7):
-            link = replace(link, listen=("127.0.0.1", 7))
+    for link in (
+        PostureLink(0.5, file=tmp_path / "arm.jsonl"),
+        PostureLink(1, listen=("127.0.0.1", 7)),
+        PostureLink(1, opcua=True),
+    ):
         site = replace(load_site(SCENE / "site.yaml"), posture=link)
         save_site(site, tmp_path / "site.yaml")
         assert load_site(tmp_path / "site.yaml").posture == link
@@ -169,7 +182,7 @@ def scene() -> synth.Scene:
     return synth.scene(replace(small_spec(3), seed=4, foreign=("hammer",)))
 
 
-def capsules_about(scene: synth.Scene) -> list[dict[str, Any]]:
+def capsules_about(scene: synth.Scene, parts: int = 24) -> list[dict[str, Any]]:
     """Balls about what is seen of the tool, as rods; the arm's frame is the world."""
     site = scene.site
     assert site.T_arm_camera is not None
@@ -182,7 +195,7 @@ def capsules_about(scene: synth.Scene) -> list[dict[str, Any]]:
     return [
         {"name": f"part {k}", "from_m": part.min(0).tolist(), "to_m": part.max(0).tolist(),
          "radius_m": 0.06}
-        for k, part in enumerate(np.array_split(order, 24))
+        for k, part in enumerate(np.array_split(order, parts))
     ]  # fmt: skip
 
 
@@ -241,37 +254,39 @@ def test_run_matches_a_recorded_file_by_the_frames_stamps(tmp_path: Path) -> Non
 # --- over TCP
 
 
-def wait_for(server: PostureServer, stamps: list[int]) -> None:
+def wait_for(inbox: PostureInbox, stamps: list[int]) -> None:
     end = time.monotonic() + 10
-    while [p.stamp_ns for p in server.around(NOW)] != stamps and time.monotonic() < end:
+    while [p.stamp_ns for p in inbox.around(NOW)] != stamps and time.monotonic() < end:
         time.sleep(0.01)
-    assert [p.stamp_ns for p in server.around(NOW)] == stamps
+    assert [p.stamp_ns for p in inbox.around(NOW)] == stamps
 
 
 def test_lines_that_come_over_tcp_are_the_newest_postures() -> None:
-    with PostureServer("127.0.0.1", 0, T) as server:
-        assert server.around(NOW) == ()
+    inbox = PostureInbox(T)
+    with PostureServer("127.0.0.1", 0, inbox) as server:
+        assert inbox.around(NOW) == ()
         with socket.create_connection(("127.0.0.1", server.port)) as arm:
             arm.sendall(line(NOW - 2, ROD) + line(NOW - 1, ROD))
-            wait_for(server, [NOW - 1])
+            wait_for(inbox, [NOW - 1])
             # The clock was set back: what was told before is of another time.
             arm.sendall(line(NOW - 5, ROD))
-            wait_for(server, [NOW - 5])
+            wait_for(inbox, [NOW - 5])
 
 
 def test_a_wrong_line_ends_the_connection_and_a_new_one_takes_the_place() -> None:
-    with PostureServer("127.0.0.1", 0, T) as server:
+    inbox = PostureInbox(T)
+    with PostureServer("127.0.0.1", 0, inbox) as server:
         with socket.create_connection(("127.0.0.1", server.port), 10) as arm:
             arm.sendall(line(NOW - 2) + b"no posture\n" + line(NOW - 1))
             assert arm.recv(1) == b""
-            wait_for(server, [NOW - 2])
+            wait_for(inbox, [NOW - 2])
         with (
             socket.create_connection(("127.0.0.1", server.port), 10) as one,
             socket.create_connection(("127.0.0.1", server.port), 10) as other,
         ):
             assert one.recv(1) == b""
             other.sendall(line(NOW))
-            wait_for(server, [NOW])
+            wait_for(inbox, [NOW])
 
 
 def test_the_port_is_that_of_the_site_and_a_taken_one_is_told(tmp_path: Path) -> None:
@@ -279,12 +294,25 @@ def test_the_port_is_that_of_the_site_and_a_taken_one_is_told(tmp_path: Path) ->
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         live = replace(site, posture=PostureLink(0.2, listen=("127.0.0.1", port)))
-        with pytest.raises(OutputError, match=r"posture\.listen"), postures_of(live):
+        inbox = live_postures(live)
+        with (
+            pytest.raises(OutputError, match=r"posture\.listen"),
+            posture_server(live, inbox),
+        ):
             pass
-    with postures_of(live) as server:
+    with posture_server(live, inbox) as server:
         assert isinstance(server, PostureServer)
         assert server.port == port
-    with postures_of(site) as told:
-        assert isinstance(told, PostureFile)
-    with postures_of(Site()) as nothing:
-        assert nothing is None
+
+
+def test_what_is_told_live_has_an_inbox_and_what_is_recorded_none(tmp_path: Path) -> None:
+    site = site_with(tmp_path, [])
+    written = replace(site, posture=PostureLink(0.2, opcua=True))
+    for each in (site, Site(), replace(site, posture=None)):
+        assert live_postures(each) is None
+        assert isinstance(posture_server(each, None), nullcontext)
+    inbox = live_postures(written)
+    assert inbox is not None
+    assert isinstance(posture_server(written, inbox), nullcontext)
+    assert written_by_opcua(written, inbox) is inbox
+    assert written_by_opcua(site, None) is None

@@ -182,11 +182,12 @@ def serve(
     """
     from stereo_ore.chain import Chain
     from stereo_ore.cli.run import announce
+    from stereo_ore.io.posture import recorded_postures
     from stereo_ore.io.site import load_site
     from stereo_ore.plant.live_files import LiveFiles
     from stereo_ore.plant.live_folder import LiveFolder
     from stereo_ore.plant.loop import processing
-    from stereo_ore.plant.posture import postures_of
+    from stereo_ore.plant.posture import live_postures, posture_server, written_by_opcua
     from stereo_ore.plant.retention import Retention, parse_limits
     from stereo_ore.plant.sinks.message import Origin, new_session, transform_id
     from stereo_ore.plant.sinks.settings import load_sinks, open_sinks, with_ros2
@@ -210,10 +211,11 @@ def serve(
     else:
         frames, calibration = _open(source, watched, camera, calib, eye, most)
     place = load_site(site) if site else Site()
-    chain = Chain(calibration, place, parameters)
+    told = live_postures(place)
+    chain = Chain(calibration, place, parameters, told or recorded_postures(place))
     announce(chain)
     origin = Origin(new_session(), transform_id(chain.site.T_arm_camera))
-    consumers = open_sinks(consumer_settings, origin)
+    consumers = open_sinks(consumer_settings, origin, written_by_opcua(place, told))
     consumers += topics_out(
         consumer_settings, live_view(out, chain, valid_for, getattr(frames, "frame_id", ""))
     )
@@ -221,7 +223,7 @@ def serve(
     about = description(frames.name, chain, inputs, **_own_calibration(ros2, calib, calibration))
     with (
         _alone(watch),
-        postures_of(place) as chain.postures,
+        posture_server(place, told),
         LiveFolder(
             out, about, lambda: write_inputs(out, chain, inputs), overwrite=overwrite
         ) as folder,

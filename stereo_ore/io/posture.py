@@ -28,31 +28,38 @@ _Address = Annotated[str, Field(pattern=r"^[\w.-]+:\d{1,5}$")]
 
 
 class PostureSection(Section):
-    """`posture` of a site file: a file of lines, or an address at which the arm's side leaves
-    them.
+    """`posture` of a site file: a file of lines, an address at which the arm's side leaves them, or
+    the OPC UA server's variables, into which it writes.
     """
 
     file: str | None = None
     listen: _Address | None = None
+    opcua: Literal[True] | None = None
     max_age_s: Annotated[Positive, Field(le=60)] = 0.2
 
     @model_validator(mode="after")
     def _one(self) -> PostureSection:
-        if (self.file is None) == (self.listen is None):
-            raise ValueError("give one of file and listen")
+        if [self.file, self.listen, self.opcua].count(None) != 2:
+            raise ValueError("give one of file, listen and opcua")
         return self
 
     def link(self, folder: Path) -> PostureLink:
         """The same with a path that is seen from the site file, and an address in two parts."""
+        if self.file is not None:
+            return PostureLink(self.max_age_s, file=folder / self.file)
         if self.listen is None:
-            return PostureLink(self.max_age_s, file=folder / str(self.file))
+            return PostureLink(self.max_age_s, opcua=True)
         host, _, port = self.listen.rpartition(":")
         return PostureLink(self.max_age_s, listen=(host, int(port)))
 
 
 def posture_document(link: PostureLink, file: str | None) -> dict[str, Any]:
     """What `PostureSection` reads back as the same."""
-    where = {"file": file} if link.listen is None else {"listen": "{}:{}".format(*link.listen)}
+    where: dict[str, Any] = {"file": file}
+    if link.listen is not None:
+        where = {"listen": "{}:{}".format(*link.listen)}
+    elif link.opcua:
+        where = {"opcua": True}
     return {**where, "max_age_s": link.max_age_s}
 
 
@@ -91,6 +98,17 @@ def parse_posture(line: bytes, T_arm_camera: F64, where: str) -> Posture:
         data = json.loads(line)
     except ValueError as fault:
         raise ConfigError(f"is no JSON: {fault}", file=where) from None
+    return read_posture(data, T_arm_camera, where)
+
+
+def read_posture(data: Any, T_arm_camera: F64, where: str) -> Posture:
+    """A posture in the camera frame, from what a line of JSON holds.
+
+    Raises
+    ------
+    ConfigError
+        Naming `where` and what is wrong with it.
+    """
     found = validate(PostureLine, data, where, ConfigError)
     back = inverse(T_arm_camera)
     bodies = (
@@ -137,9 +155,10 @@ def recorded_postures(site: Site | None) -> PostureFile | None:
         return None
     path = site.posture.file
     if path is None:
+        way = "opcua" if site.posture.opcua else "listen"
         raise ConfigError(
-            "the arm's posture comes over TCP, which only `serve` listens to",
-            key="posture.listen",
+            "the arm's posture comes while it works, and only `serve` takes it in",
+            key=f"posture.{way}",
             remedy="Give posture.file with the recorded lines",
         )
     try:

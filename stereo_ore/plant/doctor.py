@@ -11,6 +11,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.resources import as_file, files
@@ -21,7 +22,7 @@ import numpy as np
 
 from stereo_ore.chain import Chain
 from stereo_ore.config import Config
-from stereo_ore.errors import OutputError, StereoOreError
+from stereo_ore.errors import ConfigError, OutputError, StereoOreError
 from stereo_ore.installation import conflict_text, conflicting_wheels
 from stereo_ore.io.calibration import load
 from stereo_ore.io.lock import FolderLock
@@ -30,8 +31,10 @@ from stereo_ore.io.recordings import open_source
 from stereo_ore.io.site import load_site
 from stereo_ore.plant.listening import listen
 from stereo_ore.plant.live_files import NO_DISK_BYTES, free_bytes
+from stereo_ore.plant.posture import live_postures, written_by_opcua
 from stereo_ore.plant.sinks.settings import LOOPBACK, addresses, load_sinks, open_sinks
 from stereo_ore.plant.watch import first_size
+from stereo_ore.types import Site
 
 _Verdict = Literal["ok", "warning", "fault"]
 
@@ -209,7 +212,11 @@ def _parameters(plan: Plan) -> Iterator[_Finding]:
 def _consumers(plan: Plan) -> Iterator[_Finding]:
     """Ports that are free, files that are there, extras that are installed."""
     settings = load_sinks(plan.sinks, **dict(plan.ports))
-    open_sinks(settings)
+    site = Site()
+    if plan.site is not None:
+        with suppress(ConfigError):  # which the check of the site tells
+            site = load_site(plan.site)
+    open_sinks(settings, postures=written_by_opcua(site, live_postures(site)))
     listening = [
         (name, part.host, part.port)
         for name, part in addresses(settings).items()

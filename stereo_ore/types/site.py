@@ -82,13 +82,14 @@ class Postures(Protocol):
 
 @dataclass(frozen=True)
 class PostureLink:
-    """Where postures come from, a file or an address to listen on, and how far [s] one may be from
-    a frame.
+    """Where postures come from, a file, an address to listen on or our OPC UA server, into which
+    the arm writes (`opcua`), and how far [s] one may be from a frame.
     """
 
     max_age_s: float
     file: Path | None = None
     listen: tuple[str, int] | None = None
+    opcua: bool = False
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,18 @@ from stereo_ore.plant.listening import listen
 from stereo_ore.plant.sinks.base import Outbox, SinkState
 from stereo_ore.plant.sinks.message import Message, Origin, notice
 from stereo_ore.plant.sinks.opcua_access import Users, guard
-from stereo_ore.plant.sinks.opcua_model import CONTROL, NAMESPACE, NO_TIME, PAYLOAD, Variable
+from stereo_ore.plant.sinks.opcua_model import (
+    CONTROL,
+    MODEL,
+    NAMESPACE,
+    NO_TIME,
+    PAYLOAD,
+    POSTURE,
+    WRITTEN_FOLDERS,
+    Variable,
+)
 from stereo_ore.plant.sinks.opcua_nodeset import nodeset
+from stereo_ore.plant.sinks.opcua_posture import PostureDesk, TakePosture
 from stereo_ore.plant.sinks.supervisor import Supervisor
 from stereo_ore.version import __version__
 
@@ -44,7 +54,8 @@ class OpcUaSecurity:
 class OpcUaSink:
     """Serves targets at ``opc.tcp://host:port/stereo-ore`` from a thread with its own event loop.
 
-    Clients can write nothing but the two nodes below ``Acknowledgement``.
+    Clients can write nothing but the two nodes below ``Acknowledgement``, and those below
+    ``Posture`` where somebody takes what is written there.
 
     Parameters
     ----------
@@ -53,6 +64,10 @@ class OpcUaSink:
     security : OpcUaSecurity, optional
         Without it connections are open and not encrypted: for this machine only, which the settings
         see to.
+    origin : Origin
+        What all messages share.
+    take_posture : TakePosture, optional
+        Where the arm's postures go that clients write.
     """
 
     def __init__(
@@ -61,6 +76,7 @@ class OpcUaSink:
         port: int,
         security: OpcUaSecurity | None = None,
         origin: Origin = Origin(),  # noqa: B008
+        take_posture: TakePosture | None = None,
     ) -> None:
         try:
             import asyncua  # noqa: F401
@@ -68,6 +84,8 @@ class OpcUaSink:
             raise MissingExtraError("asyncua", "opcua") from None
         self.url = f"opc.tcp://{host}:{port}{PATH}"
         self._host, self._port, self._security = host, port, security
+        self._take_posture = take_posture
+        self._desk: PostureDesk | None = None
         self._outbox = Outbox()
         self._latest = notice(0, origin, "starting")
         self._sent = 0
@@ -96,8 +114,8 @@ class OpcUaSink:
         self._outbox.put(message)
 
     def state(self) -> SinkState:
-        """Connected clients, messages written, what the arm acknowledged last, and whether the
-        server is in order.
+        """Connected clients, messages written, what the arm acknowledged last and what became of
+        its posture, and whether the server is in order.
         """
         binary = self._server.bserver if self._server else None
         clients = len(binary.clients) if binary else 0
@@ -107,6 +125,7 @@ class OpcUaSink:
             if sequence
             else "nothing acknowledged"
         )
+        detail += f"; {self._desk.told}" if self._desk else ""
         count = self._sent, self._outbox.dropped
         watched = self._supervisor.alarm, self._supervisor.restarts
         return SinkState("OPC UA", self.url, clients > 0, clients, *count, detail, *watched)
@@ -117,6 +136,7 @@ class OpcUaSink:
         """
         server = await _make_server(self.url, self._security)
         nodes = await _add_nodes(server)
+        await self._open(server, nodes)
         await self._write(server, nodes, self._latest.current())
         async with server:
             self._server = server
@@ -131,6 +151,17 @@ class OpcUaSink:
                 beating.cancel()
             # Subscriptions publish at their own pace: what was written last must still reach them.
             await asyncio.sleep(HEARTBEAT_S)
+
+    async def _open(self, server: Server, nodes: Mapping[str, Node]) -> None:
+        """Let clients write what somebody wants to know, and no more."""
+        self._desk = None
+        if self._take_posture is not None:
+            self._desk = PostureDesk(server, nodes, self._take_posture)
+        else:
+            for variable in POSTURE:
+                await nodes[variable.name].set_read_only()
+        writable = {nodes[v.name].nodeid: v for v in MODEL if v.folder in WRITTEN_FOLDERS}
+        guard(server, writable, self._desk)
 
     def _take(self) -> Message | None:
         """The next message; it is kept, for a server that fails before it has written it."""
@@ -244,17 +275,10 @@ async def _add_nodes(server: Server) -> dict[str, Node]:
 
     namespace = await server.register_namespace(NAMESPACE)
     await server.import_xml(xmlstring=nodeset())
-    names = {v.name: f"StereoOre.{v.folder}.{v.name}" for v in (*PAYLOAD, *CONTROL)}
+    names = {v.name: f"StereoOre.{v.folder}.{v.name}" for v in MODEL}
     nodes = {name: server.get_node(ua.NodeId(id, namespace)) for name, id in names.items()}
-    now = datetime.now(UTC)
-    for variable in CONTROL:
-        await _write(server, nodes[variable.name], _data_value(variable, 0, now))
-    guard(
-        server,
-        {
-            nodes[variable.name].nodeid
-            for variable in CONTROL
-            if variable.folder == "Acknowledgement"
-        },
-    )
+    now, nothing = datetime.now(UTC), notice(0, Origin(), "starting")
+    for variable in (*CONTROL, *POSTURE):
+        value = _data_value(variable, variable.value(nothing), now, variable.certain)
+        await _write(server, nodes[variable.name], value)
     return nodes

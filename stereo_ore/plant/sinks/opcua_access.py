@@ -1,19 +1,22 @@
 """What OPC UA clients may do: who may connect, which writes are refused, and parts of arrays by
 IndexRange.
 
-asyncua 2.1 knows no IndexRange (every range is answered with the whole array and status Good) and
-no ranks (a list is taken for a scalar). Both are settled here, before a client's request reaches
-the address space.
+asyncua 2.1 knows no IndexRange (every range is answered with the whole array and status Good), no
+ranks (a list is taken for a scalar) and no lengths of arrays. All are settled here, before a
+client's request reaches the address space.
 """
 
 from __future__ import annotations
 
+import asyncio
 import hmac
 import logging
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
+
+from stereo_ore.plant.sinks.opcua_model import Variable
 
 if TYPE_CHECKING:
     from asyncua import Server, ua
@@ -23,19 +26,34 @@ _log = logging.getLogger(__name__)
 ONE_RANGE = re.compile(r"(\d{1,9})(?::(\d{1,9}))?", re.ASCII)
 
 
-def guard(server: Server, writable: Collection[ua.NodeId]) -> None:
-    """Put our rules before the server's own services; the `writable` nodes are scalars."""
+class Desk(Protocol):
+    """What is made of the values of several variables together."""
+
+    def last(self, node: ua.NodeId) -> bool:
+        """Whether a request's values of other nodes are to be there before this one's."""
+
+    async def written(self, node: ua.NodeId, answer: ua.StatusCode) -> ua.StatusCode:
+        """The answer to a write that the server has answered so."""
+
+
+def guard(server: Server, writable: Mapping[ua.NodeId, Variable], desk: Desk | None = None) -> None:
+    """Put our rules before the server's own services."""
     inner = server.iserver
-    inner.attribute_service = _Attributes(inner.attribute_service, writable)
+    inner.attribute_service = _Attributes(inner.attribute_service, writable, desk)
     subscriptions = inner.subscription_service
     subscriptions.create_monitored_items = _whole_items_only(subscriptions.create_monitored_items)
 
 
 class _Attributes:
-    """Reads parts of arrays, and refuses a list, or a part of one, where a single value belongs."""
+    """Reads parts of arrays, and refuses what is not of the type, rank and length of its node, or a
+    part of it.
+    """
 
-    def __init__(self, service: Any, writable: Collection[ua.NodeId]) -> None:
-        self._service, self._writable = service, writable
+    def __init__(
+        self, service: Any, writable: Mapping[ua.NodeId, Variable], desk: Desk | None
+    ) -> None:
+        self._service, self._writable, self._desk = service, writable, desk
+        self._turn = asyncio.Lock()
 
     def read(self, params: ua.ReadParameters) -> list[ua.DataValue]:
         """Values of attributes, or the parts of them that are asked for."""
@@ -46,28 +64,51 @@ class _Attributes:
         ]
 
     async def write(self, params: ua.WriteParameters, **user: Any) -> list[ua.StatusCode]:
-        """Write what fits its node; a status code for each."""
+        """Write what fits its node; a status code for each. One request is done at a time."""
+        answers: dict[int, ua.StatusCode] = {}
+        items = params.NodesToWrite
+        async with self._turn:
+            for place in sorted(range(len(items)), key=lambda place: self._last(items[place])):
+                answers[place] = await self._write(items[place], user)
+        return [answers[place] for place in range(len(items))]
+
+    def _last(self, item: ua.WriteValue) -> bool:
+        return self._desk is not None and self._desk.last(item.NodeId)
+
+    async def _write(self, item: ua.WriteValue, user: Mapping[str, Any]) -> ua.StatusCode:
         from asyncua import ua
 
-        results = []
-        for item in params.NodesToWrite:
-            if refusal := self._refusal(item):
-                results.append(ua.StatusCode(refusal))
-            else:
-                results += await self._service.write(
-                    ua.WriteParameters(NodesToWrite=[item]), **user
-                )
-        return results
+        answer = ua.StatusCode(self._refusal(item))
+        if answer.is_good():
+            request = ua.WriteParameters(NodesToWrite=[item])
+            (answer,) = await self._service.write(request, **user)
+        if self._desk is None or item.AttributeId != ua.AttributeIds.Value:
+            return answer
+        return await self._desk.written(item.NodeId, answer)
 
     def _refusal(self, item: ua.WriteValue) -> int:
         """Status code of a write that does not fit its node; 0: leave it to the server."""
         from asyncua import ua
 
-        if item.NodeId not in self._writable or item.AttributeId != ua.AttributeIds.Value:
+        variable = self._writable.get(item.NodeId)
+        if variable is None or item.AttributeId != ua.AttributeIds.Value:
             return 0
         if item.IndexRange:
             return int(ua.StatusCodes.BadWriteNotSupported)
-        return int(ua.StatusCodes.BadTypeMismatch) if item.Value.Value.is_array else 0
+        return 0 if _fits(item.Value, variable) else int(ua.StatusCodes.BadTypeMismatch)
+
+
+def _fits(value: ua.DataValue, variable: Variable) -> bool:
+    """Whether a value has the rank and the length of its variable, or is none, of bad quality; the
+    type of its elements is the server's to check.
+    """
+    variant = value.Value
+    if value.StatusCode is not None and value.StatusCode.is_bad() and variant.Value is None:
+        return True
+    if variable.length is None:
+        return not variant.is_array
+    flat = variant.is_array and len(variant.Dimensions or (0,)) == 1
+    return flat and len(variant.Value or ()) == variable.length
 
 
 def part(value: ua.DataValue, index_range: str | None) -> ua.DataValue:

@@ -20,6 +20,8 @@ from stereo_ore.plant.sinks.message import MOST_ALTERNATES, Message, Target
 
 NAMESPACE = "urn:stereo-ore:targets"
 OPCUA_SLOTS = 16
+POSTURE_SLOTS = 16
+"""Bodies of the arm that its side may write; a breaker has some five."""
 
 _NAN = float("nan")
 _OVERSIZE = {True: 1, False: 0, None: -1}
@@ -200,3 +202,32 @@ CONTROL = (
     ),
 )
 """What is not part of a message."""
+
+
+def _written(
+    name: str, type: str, text: str, unit: str = "", length: int | None = None, frame: str = ""
+) -> Variable:
+    """A variable that the arm writes; its value until then is that of an empty message."""
+    empty: Any = {"String": "", "DateTime": NO_TIME}.get(type, 0)
+    value = empty if length is None else [empty] * length
+    return Variable("Posture", name, type, text, lambda m: value, unit, length, frame, False)
+
+
+POSTURE = (
+    _written("BodyCount", "UInt32", "arm: slots in use; 0: no part of the arm is near the screen"),
+    _written("Name", "String", "arm: names of its parts, one a slot", length=POSTURE_SLOTS),
+    _written("From", "Double", "arm: first ends of the capsules' axes x y z", "m",
+        3 * POSTURE_SLOTS, "arm"),
+    _written("To", "Double", "arm: other ends of the capsules' axes x y z", "m",
+        3 * POSTURE_SLOTS, "arm"),
+    _written("Radius", "Double", "arm: radii of the capsules", "m", POSTURE_SLOTS),
+    _written("PostureStamp", "DateTime", "arm: when it was there (UTC); written last, it hands"
+        " over the posture"),
+)  # fmt: skip
+"""Where the arm's parts are, for a site with `posture: {opcua: true}`."""
+
+MODEL = (*PAYLOAD, *CONTROL, *POSTURE)
+"""All nodes."""
+
+WRITTEN_FOLDERS = ("Acknowledgement", "Posture")
+"""Folders whose nodes clients may write."""

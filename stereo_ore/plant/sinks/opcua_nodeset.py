@@ -9,7 +9,7 @@ from __future__ import annotations
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
-from stereo_ore.plant.sinks.opcua_model import CONTROL, NAMESPACE, PAYLOAD, UNITS, Variable
+from stereo_ore.plant.sinks.opcua_model import MODEL, NAMESPACE, UNITS, WRITTEN_FOLDERS, Variable
 
 NODESET = "http://opcfoundation.org/UA/2011/03/UANodeSet.xsd"
 _TYPES = "http://opcfoundation.org/UA/2008/02/Types.xsd"
@@ -54,7 +54,7 @@ def nodeset() -> str:
     """
     root = Element("UANodeSet", {"xmlns": NODESET})
     SubElement(SubElement(root, "NamespaceUris"), "Uri").text = NAMESPACE
-    model = SubElement(SubElement(root, "Models"), "Model", ModelUri=NAMESPACE, Version="2.1.0")
+    model = SubElement(SubElement(root, "Models"), "Model", ModelUri=NAMESPACE, Version="2.2.0")
     model.set("PublicationDate", "2026-11-30T00:00:00Z")
     base = {
         "ModelUri": "http://opcfoundation.org/UA/",
@@ -76,10 +76,10 @@ def nodeset() -> str:
 def _components(root: Element, owner: str) -> None:
     """Folders and variables of the type or of the object; those of the type are mandatory."""
     known = len(root)
-    for folder in dict.fromkeys(variable.folder for variable in (*PAYLOAD, *CONTROL)):
+    for folder in dict.fromkeys(variable.folder for variable in MODEL):
         parent = f"ns=1;s={owner}", "HasComponent"
         _node(root, "UAObject", f"{owner}.{folder}", folder, _FOLDER, parent)
-    for variable in (*PAYLOAD, *CONTROL):
+    for variable in MODEL:
         _variable(root, owner, variable)
     if owner == TYPE:
         for node in root[known:]:
@@ -133,7 +133,7 @@ def _variable(root: Element, owner: str, variable: Variable) -> None:
     node.set("ValueRank", "-1" if variable.length is None else "1")
     if variable.length is not None:
         node.set("ArrayDimensions", str(variable.length))
-    access = READ_WRITE if variable.folder == "Acknowledgement" else READ
+    access = READ_WRITE if variable.folder in WRITTEN_FOLDERS else READ
     node.set("AccessLevel", access)
     node.set("UserAccessLevel", access)
     if variable.frame:

@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, IPvAnyNetwork
 from stereo_ore.config.validation import validate
 from stereo_ore.errors import ConfigError
 from stereo_ore.io.yaml_io import load_yaml, read_text
+from stereo_ore.plant.posture import PostureInbox
 from stereo_ore.plant.sinks.base import TargetSink
 from stereo_ore.plant.sinks.message import Origin
 
@@ -212,18 +213,41 @@ def read_users(path: Path) -> dict[str, str]:
     return users
 
 
-def open_sinks(settings: SinksSettings, origin: Origin = Origin()) -> list[TargetSink]:  # noqa: B008
-    """A sink for each consumer in the settings, not yet entered; `origin` is what all messages will
-    share.
+def open_sinks(
+    settings: SinksSettings,
+    origin: Origin = Origin(),  # noqa: B008
+    postures: PostureInbox | None = None,
+) -> list[TargetSink]:
+    """A sink for each consumer in the settings, not yet entered.
+
+    Parameters
+    ----------
+    settings : SinksSettings
+        Which there are.
+    origin : Origin
+        What all messages will share.
+    postures : PostureInbox, optional
+        Takes in the arm's posture, which its side writes into the OPC UA server.
+
+    Raises
+    ------
+    ConfigError
+        For postures and no OPC UA server.
     """
+    if postures is not None and settings.opcua is None:
+        raise ConfigError(
+            "the arm's posture is to be written into the OPC UA server, and there is none",
+            key="posture.opcua",
+            remedy="Give --opcua PORT, or a section opcua in the sinks file",
+        )
     return [
-        make(part, origin)
+        make(part, origin, postures)
         for name, make in MAKERS.items()
         if (part := getattr(settings, name)) is not None
     ]
 
 
-def _opcua(settings: OpcUaSettings, origin: Origin) -> TargetSink:
+def _opcua(settings: OpcUaSettings, origin: Origin, postures: PostureInbox | None) -> TargetSink:
     from stereo_ore.plant.sinks.opcua import OpcUaSecurity, OpcUaSink
 
     security = None
@@ -232,10 +256,11 @@ def _opcua(settings: OpcUaSettings, origin: Origin) -> TargetSink:
         security = OpcUaSecurity(
             settings.certificate, settings.private_key, settings.trusted, users
         )
-    return OpcUaSink(settings.host, settings.port, security, origin)
+    take = None if postures is None else postures.take
+    return OpcUaSink(settings.host, settings.port, security, origin, take)
 
 
-def _mqtt(settings: MqttSettings, origin: Origin) -> TargetSink:
+def _mqtt(settings: MqttSettings, origin: Origin, _: PostureInbox | None) -> TargetSink:
     from stereo_ore.plant.sinks.mqtt import MqttLogin, MqttSink
 
     user, password = (
@@ -247,19 +272,19 @@ def _mqtt(settings: MqttSettings, origin: Origin) -> TargetSink:
     )
 
 
-def _tcp(settings: TcpSettings, origin: Origin) -> TargetSink:
+def _tcp(settings: TcpSettings, origin: Origin, _: PostureInbox | None) -> TargetSink:
     from stereo_ore.plant.sinks.tcp import TcpSink
 
     return TcpSink(settings.host, settings.port)
 
 
-def _modbus(settings: ModbusSettings, origin: Origin) -> TargetSink:
+def _modbus(settings: ModbusSettings, origin: Origin, _: PostureInbox | None) -> TargetSink:
     from stereo_ore.plant.sinks.modbus import ModbusSink
 
     return ModbusSink(settings.host, settings.port, settings.clients, origin)
 
 
-MAKERS: dict[str, Callable[[Any, Origin], TargetSink]] = {
+MAKERS: dict[str, Callable[[Any, Origin, PostureInbox | None], TargetSink]] = {
     "opcua": _opcua,
     "mqtt": _mqtt,
     "tcp": _tcp,
