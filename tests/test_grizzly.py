@@ -11,7 +11,7 @@ from stereo_ore.config import GrizzlyConfig
 from stereo_ore.errors import FrameError
 from stereo_ore.lab import synth
 from stereo_ore.stages import grizzly
-from stereo_ore.types import Grizzly, Plane, Rig, Site, Surface, Volume
+from stereo_ore.types import F64, Grizzly, Mask, Plane, Rig, Site, Surface, Volume
 
 CONFIG = GrizzlyConfig()
 KNOWN = Site(opening_m=OPENING, bar_width_m=WIDTH)
@@ -243,3 +243,47 @@ def test_bars_across_that_depth_does_not_tell_are_found_in_the_image() -> None:
     assert (
         grizzly.with_crossing(grizzly.find(slots, Site(), CONFIG), slots, Site(), CONFIG) == Site()
     )
+
+
+def painted(screen: Screen, surface: Surface, shade: F64, where: Mask) -> Surface:
+    """The surface with other grey levels."""
+    grey = surface.bgr[..., 0].astype(float)
+    grey[where] = shade[where]
+    return replace(surface, bgr=np.dstack([np.clip(grey, 0, 255).astype(np.uint8)] * 3))
+
+
+def places(screen: Screen) -> tuple[F64, F64]:
+    """Where rays meet the plane of the bars, along and across them, (H, W) each [m]."""
+    v, u = np.mgrid[: RIG.height, : RIG.width]
+    ray = np.stack([(u - RIG.cx) / RIG.fx, (v - RIG.cy) / RIG.fy, np.ones(u.shape)], -1)
+    along, across, normal = screen.axes
+    at = ray * (screen.plane.offset / (ray @ normal))[..., None] - [0, 0, DISTANCE]
+    return at @ along, at @ across
+
+
+def test_ties_are_no_bars_across_though_they_shine() -> None:
+    """Every third place of a comb as fine as the bars shows them, and brighter than bars are."""
+    screen = Screen(tilt=0.2, yaw=0.5, half=0.7, noise_px=0.1)
+    surface, _ = draw(screen)
+    along, across = places(screen)
+    ties = np.abs(along - 0.57 * np.round(along / 0.57)) < WIDTH / 2
+    ties &= (np.abs(along) < 0.7) & (np.abs(across) < 0.7)
+    surface = painted(screen, surface, np.full(along.shape, 250.0), ties)
+    found = grizzly.find(surface, Site(plane=screen.plane), CONFIG)
+    alone = replace(found, cross_bars=None)
+    assert grizzly.with_crossing(alone, surface, Site(), CONFIG) == Site()
+
+
+@pytest.mark.parametrize("flank", [40.0, 5.0], ids=["dark as the pit", "darker than it"])
+def test_round_bars_end_beside_their_gleam(flank: float) -> None:
+    screen = Screen(tilt=0.2, yaw=0.5, half=0.7, noise_px=0.1)
+    surface, _ = draw(screen)
+    along, across = places(screen)
+    off = np.abs(across - PITCH * np.round(across / PITCH)) * 2 / WIDTH
+    bars = (off < 1) & (np.abs(along) < 0.7) & (np.abs(across) < 0.7)
+    gleam = flank + (140 - flank) * np.clip(1 - off**2, 0, 1) ** (1 if flank > 20 else 4)
+    surface = painted(screen, surface, gleam, bars)
+    site = replace(IN_VOLUME, bar_profile="round")
+    found = grizzly.find(surface, site, CONFIG)
+    assert found.bars is not None
+    assert found.bars.width_m == pytest.approx(WIDTH, abs=0.06 * OPENING)

@@ -60,10 +60,10 @@ def _sharp(found: Grizzly, surface: Surface, site: Site, config: GrizzlyConfig) 
     tolerance = tolerances(surface.sigma_z, config)
     bars, cross, diagnostics = found.bars, found.cross_bars, dict(found.diagnostics)
     if site.bar_width_m is None:
-        bars = sharpened(surface, found, tolerance)
+        bars = sharpened(surface, found, tolerance, site.bar_profile)
         diagnostics["bar_width_from"] = "image" if bars else "depth"
     if site.cross_opening_m is None or site.bar_width_m is None:
-        across = sharpened(surface, replace(found, bars=cross), tolerance)
+        across = sharpened(surface, replace(found, bars=cross), tolerance, site.bar_profile)
         cross = across or (cross if site.cross_opening_m is not None else None)
     screen = replace(found, bars=bars or found.bars, cross_bars=cross, diagnostics=diagnostics)
     return _with_openings(screen, site)
@@ -72,8 +72,11 @@ def _sharp(found: Grizzly, surface: Surface, site: Site, config: GrizzlyConfig) 
 def with_crossing(screen: Grizzly, surface: Surface, site: Site, config: GrizzlyConfig) -> Site:
     """The site with the holes of a screen that only the image shows to be a grid; else as it was.
 
-    For surveys: it takes the time of a frame.
+    For surveys: it takes the time of a frame. Of round bars the image shows a gleam, and flat ties
+    under them more clearly: nothing is looked for.
     """
+    if site.bar_profile == "round":
+        return site
     if site.opening_m is not None or screen.bars is None or screen.cross_bars is not None:
         return site
     cross = crossing(surface, screen, tolerances(surface.sigma_z, config))

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from stereo_ore.stages.grizzly.bars import MOST_OBLONG
-from stereo_ore.types import F32, F64, Bars, Grizzly, Mask, Surface
+from stereo_ore.types import F32, F64, BarProfile, Bars, Grizzly, Mask, Surface
 
 _BINS, SMOOTHING = 240, 2.0
 """Bins of a pitch that the image is folded into, and the standard deviation [bins] that the fold is
@@ -28,13 +28,19 @@ of it."""
 _AS_CLEAR, _FIRST, _BESIDE = 0.8, 0.85, 0.75
 """Contrast of bars across over that of the bars, of the one with the least pitch over that of the
 clearest, and widths beside a bar from which on they are looked for."""
+_LEAST_EDGE, _MOST = 20, 0.6
+"""Pixels along an edge that tell whether a bar is there, and the share of bars that must be."""
+_FLANK = 0.3
+"""Slope at the end of a dark flank over that of the gleam beside it."""
 _PITCHES, _SEARCHED = 400, 60_000
 """Pitches tried, and pixels looked at."""
 STRONGEST = 20.0
 """Grey levels a pixel beyond which an edge counts no more: one glint must not outvote a bar."""
 
 
-def sharpened(surface: Surface, grizzly: Grizzly, tolerance: F32) -> Bars | None:
+def sharpened(
+    surface: Surface, grizzly: Grizzly, tolerance: F32, profile: BarProfile = "flat"
+) -> Bars | None:
     """The bars with width and phase by their edges, or None where the image does not show them.
 
     The slope of the grey image across the bars is folded by their pitch. The two edges of a bar's
@@ -49,6 +55,8 @@ def sharpened(surface: Surface, grizzly: Grizzly, tolerance: F32) -> Bars | None
         The screen as depth shows it.
     tolerance : (h, w) float32
         Distance from the plane within which a point may lie on it [m].
+    profile : {"flat", "round"}
+        Of the bars' tops.
     """
     bars, seen = grizzly.bars, _seen(surface, grizzly, tolerance)
     if bars is None or seen is None:
@@ -58,6 +66,8 @@ def sharpened(surface: Surface, grizzly: Grizzly, tolerance: F32) -> Bars | None
     width, middle, contrast = _strongest_pair(fold, bars.width_m / bars.pitch_m)
     if not contrast > CLEAR * float(np.sqrt(np.mean(fold**2))):
         return None
+    if profile == "round":
+        width, middle = _silhouette(fold, width, middle)
     return replace(bars, width_m=width * bars.pitch_m, phase_m=bars.phase_m + middle * bars.pitch_m)
 
 
@@ -88,9 +98,12 @@ def crossing(surface: Surface, grizzly: Grizzly, tolerance: F32) -> Bars | None:
     best = max((contrast for contrast, *_ in found), default=0.0)
     if best < _AS_CLEAR * clear:
         return None
-    # A fold by two pitches shows both bars as clearly.
-    pitch, middle = next((p, m) for contrast, p, m in found if contrast > _FIRST * best)
-    return Bars(bars.across, bars.direction, pitch, middle * pitch, bars.width_m)
+    # A fold by two pitches shows both bars as clearly; one by half a pitch leaves out every second.
+    for contrast, pitch, middle in found:
+        turns = place / np.float32(pitch) - np.float32(middle)
+        if contrast > _FIRST * best and _each_is_seen(slope, turns, bars.width_m / pitch):
+            return Bars(bars.across, bars.direction, pitch, middle * pitch, bars.width_m)
+    return None
 
 
 def _seen(surface: Surface, grizzly: Grizzly, tolerance: F32) -> tuple[F32, F32, Mask] | None:
@@ -137,6 +150,56 @@ def _folded(slope: F32, position: F32) -> F64:
     return np.asarray(
         ndimage.gaussian_filter1d(np.bincount(place, slope, _BINS) / count, SMOOTHING, mode="wrap")
     )
+
+
+def _silhouette(fold: F64, width: float, middle: float) -> tuple[float, float]:
+    """Width and middle [pitches] of round bars whose strongest two opposite slopes are so far
+    apart.
+
+    Where these are of a gleam, dark flanks beside it end in slopes of the other sign. Bars without
+    such flanks, and brighter than what is beneath, end where the slope has fallen to half.
+    """
+    start = round((middle - width / 2) * _BINS - 0.5)
+    ends = (start, start + round(width * _BINS))
+    if not fold[ends[0] % _BINS] > 0 > fold[ends[1] % _BINS]:
+        return width, middle
+    beside = np.arange(_BINS // 4)
+    slopes = [
+        -way * fold[(end + way * beside) % _BINS] for end, way in zip(ends, (-1, 1), strict=True)
+    ]
+    if all(slope.min() < -_FLANK * slope[0] for slope in slopes):
+        off = [float(slope.argmin()) for slope in slopes]
+    else:
+        off = [_half(slope) for slope in slopes]
+    left, right = (ends[0] + 0.5 - off[0]) / _BINS, (ends[1] + 0.5 + off[1]) / _BINS
+    return right - left, (left + right) / 2
+
+
+def _half(slope: F64) -> float:
+    """At which place, between two of them, it has fallen to half of the first."""
+    after = int(np.argmax(slope < slope[0] / 2))
+    part = (slope[after - 1] - slope[0] / 2) / (slope[after - 1] - slope[after])
+    return after - 1 + float(part)
+
+
+def _each_is_seen(slope: F32, turns: F32, width: float) -> bool:
+    """Whether most bars of a comb show their two edges, `width` [pitches] apart about each whole
+    turn: of ties that lie a few pitches apart one in a few does.
+    """
+    number = np.round(turns).astype(np.intp)
+    number -= number.min()
+    off = turns - np.round(turns)
+    sums = []
+    for edge in (-width / 2, width / 2):
+        on = np.abs(off - edge) < width / 4
+        count = np.bincount(number[on], minlength=number.max() + 1)
+        total = np.bincount(number[on], slope[on], number.max() + 1)
+        sums.append(np.where(count >= _LEAST_EDGE, total / np.maximum(count, 1), np.nan))
+    contrast = sums[0] - sums[1]
+    contrast = contrast[np.isfinite(contrast)]
+    if not len(contrast):
+        return False
+    return bool(np.mean(contrast * np.sign(contrast.sum()) > 0.5 * np.abs(contrast.mean())) > _MOST)
 
 
 def _strongest_pair(fold: F64, about: float, reach: float = SHIFT) -> tuple[float, float, float]:
