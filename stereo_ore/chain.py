@@ -19,6 +19,7 @@ from stereo_ore.stages import (
     cloud,
     empty_screen,
     filters,
+    fines,
     foreign,
     grizzly,
     health,
@@ -159,6 +160,8 @@ class Chain:
         surface = foreign.without_foreign(surface, alien)
         ore_map = foreign.cleared(self._segment(disparity, surface, screen), alien, surface)
         trace.reached("segment", ore_map)
+        hidden = ore_map, alien.mask
+        trace.reached("fines", fines.fines_share(surface, screen, site.volume, *hidden))
         solids = trace.reached("solids", solid.solids(surface, ore_map, screen, config.solid))
         plans = strike.plans(surface, ore_map, solids, screen, site, config.strike)
         plans = health.without_blurred(plans, ore_map, matched, eyes, config.health)
@@ -328,6 +331,7 @@ class Trace:
             targets=targets,
             stages_ms=self._stages_ms,
             stamp_source=pair.stamp_source,
+            fines_share=get("fines"),
             withheld=tuple(dict.fromkeys(self._withheld)) if status == "ok" else (),
         )
 

@@ -47,7 +47,7 @@ def record(result: FrameResult, site: Site) -> Json:
         "arm_frame": "arm" if site.T_arm_camera is not None else None,
         "counts": dict(result.counts),
         "losses": [vars(loss) for loss in losses(result)],
-        "grizzly": _grizzly(result.grizzly),
+        "grizzly": _grizzly(result.grizzly, result.fines_share),
         "foreign": [_foreign(body) for body in result.foreign],
         "ores": [_ore(ore) for ore in result.ores],
         "targets": list(result.targets),
@@ -75,7 +75,7 @@ def _reasons(reasons: Iterable[Reason]) -> list[Json]:
     return [{"code": reason.code, "detail": reason.detail} for reason in reasons]
 
 
-def _grizzly(grizzly: Grizzly | None) -> Json | None:
+def _grizzly(grizzly: Grizzly | None, fines_share: float | None) -> Json | None:
     if grizzly is None:
         return None
     rms = None if grizzly.rms_m is None else number(grizzly.rms_m)
@@ -87,6 +87,7 @@ def _grizzly(grizzly: Grizzly | None) -> Json | None:
         "rms_m": rms,
         "openings_m": None if grizzly.openings_m is None else _numbers(grizzly.openings_m),
         "registration": _registration(grizzly.registration),
+        "fines_share": None if fines_share is None else number(fines_share),
     }
 
 

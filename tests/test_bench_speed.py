@@ -17,7 +17,7 @@ from stereo_ore.lab.bench.growth import GrowthRow
 
 STAGES = [
     "read", "rectify", "match", "register", "cloud", "voxels", "filter", "surface", "grizzly",
-    "foreign", "segment", "solids",
+    "foreign", "segment", "fines", "solids",
     "strikes", "ores", "health", "record", "files",
 ]  # fmt: skip
 

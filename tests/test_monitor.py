@@ -108,6 +108,15 @@ def test_metrics_before_the_first_frame_are_of_the_format_too(status: PlantStatu
         name.startswith(("stereo_ore_frame_age", "stereo_ore_target_age")) for name in found
     )
     assert found["stereo_ore_targets_valid{}"] == 0
+    assert "stereo_ore_fines_share{}" not in found
+
+
+def test_metrics_have_the_fines_of_the_last_frame(status: PlantStatus, tmp_path: Path):
+    for share in (0.25, None):
+        status.add(make_record(3) | {"grizzly": {"fines_share": share}})
+        lines = metrics(status, tmp_path).splitlines()
+        shown = [line for line in lines if line.startswith("stereo_ore_fines_share ")]
+        assert shown == ([] if share is None else ["stereo_ore_fines_share 0.25"])
 
 
 def test_prometheus_own_parser_reads_them(status: PlantStatus, tmp_path: Path):

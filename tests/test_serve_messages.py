@@ -102,6 +102,13 @@ def test_a_target_has_its_rank_and_track_and_a_message_names_foreign_bodies():
     assert sent["foreign"] == ("boom",)
 
 
+def test_a_message_has_the_share_of_the_screen_that_is_under_fines():
+    for screen, told in ((None, None), ({"normal": [0, 0, -1]}, None), ({"fines_share": 0.2}, 0.2)):
+        record = make_record(4) | {"grizzly": screen}
+        made = message(record, 7, Origin(), age_s=0.0, valid_for_s=5.0)
+        assert made.json()["fines_share"] == told
+
+
 @pytest.mark.parametrize("status", ["degraded", "failed", "empty"])
 def test_only_ok_frames_have_targets(status):
     # Even a record that lists targets beside a bad status must not move an arm.

@@ -63,7 +63,7 @@ TABLES = {
         "status": "string",
         "reasons": "list<string>",
         "grizzly_source": "string",
-        **dict.fromkeys(("grizzly_offset_m", "grizzly_rms_m"), "float64"),
+        **dict.fromkeys(("grizzly_offset_m", "grizzly_rms_m", "grizzly_fines_share"), "float64"),
         **{f"grizzly_normal_{axis}": "float64" for axis in "xyz"},
         **dict.fromkeys(_COUNTS, "int64"),
     },
@@ -139,6 +139,7 @@ def _frame_row(record: Json) -> Json:
     row |= {name: record["counts"][name] for name in _COUNTS}
     if grizzly := record["grizzly"]:
         row |= {f"grizzly_{key}": grizzly[key] for key in ("source", "offset_m", "rms_m")}
+        row["grizzly_fines_share"] = grizzly.get("fines_share")
         row |= {
             f"grizzly_normal_{axis}": value
             for axis, value in zip("xyz", grizzly["normal"], strict=True)

@@ -75,6 +75,12 @@ def _families(status: PlantStatus, folder: Path) -> Iterator[Iterable[str]]:
         "message_sequence", "gauge", "number of the last message", [({}, latest.sequence)]
     )
     yield _family(
+        "fines_share",
+        "gauge",
+        "share of the screen under fines and mud in the last frame",
+        _known(status.fines_share()),
+    )
+    yield _family(
         "sink_consumers", "gauge", "connected consumers", [(of, s.consumers) for of, s in sinks]
     )
     yield _family("sink_sent_total", "counter", "messages sent", [(of, s.sent) for of, s in sinks])

@@ -81,6 +81,12 @@ class PlantStatus:
             None if target_at is None else now - target_at,
         )
 
+    def fines_share(self) -> float | None:
+        """Share of the screen that the last frame saw under fines; None where it was not told."""
+        with self._lock:
+            screen = (self._last or {}).get("grizzly") or {}
+        return screen.get("fines_share")
+
     def alarms(self) -> list[str]:
         """What somebody has to look after."""
         sinks = [f"{state.name}: {state.alarm}" for state in self.publisher.states() if state.alarm]

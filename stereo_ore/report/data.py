@@ -90,7 +90,8 @@ def _run(results: Results) -> dict[str, Any]:
 def _row(record: Json, timing: Json | None) -> dict[str, Any]:
     """A frame in the table."""
     sizes = [ore["size_m"][1] for ore in record["ores"] if ore["size_m"]]
-    moved = (record["grizzly"] or {}).get("registration")
+    screen = record["grizzly"] or {}
+    moved = screen.get("registration")
     return {
         "frame": record["frame"],
         "index": record["index"],
@@ -104,6 +105,7 @@ def _row(record: Json, timing: Json | None) -> dict[str, Any]:
         "largest_m": max(sizes, default=None),
         "total_ms": timing["total_ms"] if timing else None,
         "bars_off_m": moved and moved["worst_m"],
+        "fines_share": screen.get("fines_share"),
     }
 
 

@@ -230,6 +230,7 @@ const FRAME_COLUMNS = [
   ["targets", frame => frame.targets],
   ["largest, middle dimension [mm]", frame => frame.largest_m, frame => fixed(frame.largest_m, 0, 1000)],
   ["bars off [mm]", frame => frame.bars_off_m, frame => fixed(frame.bars_off_m, 1, 1000)],
+  ["under fines [%]", frame => frame.fines_share, frame => fixed(frame.fines_share, 1, 100)],
   ["time [ms]", frame => frame.total_ms, frame => fixed(frame.total_ms, 0)],
   ["stamp [UTC]", frame => frame.stamp_utc, stamp, "text"],
   ["reasons", frame => frame.reasons.join(" · "), null, "text long"],

@@ -174,7 +174,8 @@ class FrameResult:
     """All that one frame gave, with the arrays that pictures and stage files are made from (None
     when not reached).
 
-    `withheld` are the codes of `reasons` for which an "ok" frame has no targets.
+    `fines_share` 0…1 of the screen's visible area is under fines and mud, None where it can't be
+    told; `withheld` are the codes of `reasons` for which an "ok" frame has no targets.
     """
 
     name: str
@@ -197,3 +198,4 @@ class FrameResult:
     stages_ms: Mapping[str, float] = field(default_factory=dict)
     stamp_source: StampSource | None = None
     withheld: tuple[str, ...] = ()
+    fines_share: float | None = None

@@ -76,9 +76,9 @@ class Origin:
 
 @dataclass(frozen=True)
 class Message:
-    """The targets of one frame, or that there are none, and names of foreign bodies in view;
-    `deadline` is on this process's monotonic clock [s], `age_s` how old the frame was when it was
-    published.
+    """The targets of one frame, or that there are none, names of foreign bodies in view, and the
+    share of the screen that is under fines; `deadline` is on this process's monotonic clock [s],
+    `age_s` how old the frame was when it was published.
     """
 
     sequence: int
@@ -95,6 +95,7 @@ class Message:
     stamp_source: str | None = None
     age_s: float | None = None
     foreign: tuple[str, ...] = ()
+    fines_share: float | None = None
 
     @property
     def valid(self) -> bool:
@@ -209,6 +210,7 @@ def message(
         deadline=time.monotonic() + remaining_s,
         age_s=round(age_s, 3),
         foreign=tuple(body["name"] for body in record.get("foreign", ())),
+        fines_share=(record["grizzly"] or {}).get("fines_share"),
     )
     return whole.current()
 
