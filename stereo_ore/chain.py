@@ -134,10 +134,11 @@ class Chain:
         elsewhere = any(health.bar_doubts(moved, site.opening_m, config.health))
         bars, acting = None if elsewhere else moved, not self.withheld
         trace.check(health.eye_doubts, eyes, matched, config.health, bars, acting)
-        points = trace.reached("cloud", self._cloud(disparity, eyes))
+        every = disparity.unsifted()
+        points = trace.reached("cloud", self._cloud(every, eyes))
         size_m = voxels.voxel_size(config.voxel, self.rig, site.volume, points)
-        grid = voxels.voxelise(points, disparity, self.rig, size_m)
-        grid = trace.reached("voxels", surroundings.look_around(grid, disparity, eyes))
+        grid = voxels.voxelise(points, every, self.rig, size_m)
+        grid = trace.reached("voxels", surroundings.look_around(grid, every, eyes))
         filtered = trace.reached("filter", filters.apply(grid, config.filter))
         kept = filtered.keep[grid.inverse]
         surface = cloud.surface(points, kept, eyes, disparity.region)
@@ -222,7 +223,7 @@ class Chain:
 
     def _segment(self, disparity: Disparity, surface: Surface, screen: Grizzly) -> OreMap:
         if self.empty is not None:
-            surface = empty_screen.new_on(self.empty, disparity, surface)
+            surface = empty_screen.new_on(self.empty, disparity.unsifted(), surface)
         if self.site.volume is None:
             surface = grizzly.over(surface, screen, self.config.grizzly)
         volume, config = self.site.volume, self.config.segment
@@ -341,7 +342,7 @@ class Trace:
         get = self._reached.get
         if (disparity := get("match")) is not None:
             counts["pixels"] = disparity.values.size
-            counts["disparities"] = int(np.isfinite(disparity.values).sum())
+            counts["disparities"] = int(np.isfinite(disparity.unsifted().values).sum())
         if (points := get("cloud")) is not None:
             counts["points"] = len(points)
         if (grid := get("voxels")) is not None:

@@ -5,8 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from stereo_ore.config import FilterConfig
+from stereo_ore.chain import Chain
+from stereo_ore.config import Config, FilterConfig, MatchingConfig
 from stereo_ore.errors import ConfigError
+from stereo_ore.lab import synth
 from stereo_ore.lab.bench import filters as bench
 from stereo_ore.lab.bench.baselines import CONTENDERS
 from stereo_ore.lab.bench.labelled import LabelledCloud, bare_cloud, paper_clouds, scene_stereo
@@ -126,6 +128,26 @@ def test_stereo_clouds_use_the_cues_in_image_space(stereo: LabelledCloud) -> Non
         > filter_quality(stereo.is_noise, removed(dataclasses.replace(stereo, voxels=blind))).f1
     )
     assert quality.retention > 0.85
+
+
+def test_what_the_matcher_doubts_is_left_to_the_filter(synth_scene: synth.Scene) -> None:
+    site = dataclasses.replace(synth_scene.site, plane=None)
+    lenient, strict = (
+        Chain(synth_scene.calibration, site, Config(matching=MatchingConfig(min_confidence=limit)))(
+            synth_scene.pair
+        )
+        for limit in (0.4, 0.9)
+    )
+    assert lenient.disparity is not None
+    assert strict.disparity is not None
+    sure = np.isfinite(strict.disparity.values)
+    assert sure.sum() < np.isfinite(lenient.disparity.values).sum()
+    assert strict.voxels is not None
+    assert lenient.voxels is not None
+    np.testing.assert_array_equal(strict.voxels.xyz, lenient.voxels.xyz)
+    assert strict.counts["kept"] == lenient.counts["kept"]
+    assert strict.cloud is not None
+    assert not sure.ravel()[strict.cloud.pixel].all()
 
 
 def test_image_space_has_pixels_and_disparity(stereo: LabelledCloud) -> None:

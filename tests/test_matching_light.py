@@ -133,6 +133,9 @@ def test_confidence_is_there_where_a_disparity_is_and_higher_where_it_is_right(
         replace(pair, right=spoilt), whole(pair.rig), MatchingConfig(min_confidence=0.8)
     )
     np.testing.assert_array_equal(np.isfinite(strict.values), found.confidence >= 0.8)
+    np.testing.assert_array_equal(strict.unsifted().values, found.values)
+    told = strict.cues["confidence"]
+    np.testing.assert_array_equal(told, np.nan_to_num(found.confidence)[found.region.slices])
 
 
 def test_a_network_gives_images_what_it_gives_rows() -> None:

@@ -101,6 +101,8 @@ def test_a_planted_field_is_measured_and_taken_off(
     mended = corrected(faulty, found, RIG)
     assert np.nanmax(np.abs(mended.values - sound.values)) < 0.1
     assert not np.shares_memory(mended.values, faulty.values)
+    doubtful = replace(faulty, measured=faulty.values)
+    np.testing.assert_array_equal(corrected(doubtful, found, RIG).measured, mended.values)
 
 
 @pytest.mark.parametrize("factor", [0.97, 0.98, 0.995, 1.005, 1.02, 1.03])

@@ -39,6 +39,8 @@ def test_all_context_is_there_and_a_wall_has_none() -> None:
     np.testing.assert_allclose(cues["known_41"], 1)
     np.testing.assert_allclose(cues["texture_around_15"], 0.5, rtol=1e-5)
     np.testing.assert_allclose(cues["lr_diff_px_known_101"], np.log(0.55), rtol=2e-3)
+    np.testing.assert_allclose(cues["confidence_around_15"], 0.5, rtol=1e-5)
+    np.testing.assert_allclose(cues["confidence_known_41"], 0, atol=1e-5)
     for name in ("off_15", "nearer_61", "farther_61"):
         np.testing.assert_allclose(cues[name], 0, atol=0.02)
     np.testing.assert_allclose(cues["brightness"], np.log(93), rtol=1e-5)

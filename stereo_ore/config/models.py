@@ -70,7 +70,8 @@ class MatchingConfig(StageConfig):
     )
     min_confidence: float = param(
         0.4,
-        "disparities less likely than this to be within a pixel of the truth are dropped",
+        "disparities less likely than this to be within a pixel of the truth are left to the"
+        " filter",
         ge=0,
         lt=1,
     )

@@ -16,12 +16,12 @@ import numpy.typing as npt
 
 from stereo_ore.threads import pool
 from stereo_ore.types import (
+    AROUND_CUES,
     CONTEXT_REACH_PX,
     CONTEXT_WINDOWS_PX,
     CUES,
     F32,
     KNOWN_CUES,
-    PIXEL_CUES,
     Disparity,
     RectifiedPair,
     VoxelCloud,
@@ -31,8 +31,8 @@ _STEP = 4
 """Windows are many times this wide: sums over a copy reduced by it tell as much as over all
 pixels."""
 
-FLOOR_PX = np.float32(0.05)
-"""Added before a cue's logarithm."""
+FLOOR_PX, _FLOOR = np.float32(0.05), np.float32(0.01)
+"""Added before a cue's logarithm, and to either chance before log odds."""
 
 _FAR_PX = np.float32(1e4)
 _UNKNOWN = np.float32(1e-3)
@@ -94,8 +94,8 @@ def _cells(voxels: VoxelCloud, disparity: Disparity, pair: RectifiedPair) -> _In
 
 
 def _doubts(disparity: Disparity, at: _Index) -> Found:
-    """Means of the pixel cues over all pixels of the windows, known or not."""
-    for name in PIXEL_CUES:
+    """Means of cues over all pixels of the windows, known or not."""
+    for name in AROUND_CUES:
         image = _reduce(_plain(disparity.cues[name]))
         yield from (
             (f"{name}_around_{size}", _mean(image, size).take(at)) for size in CONTEXT_WINDOWS_PX
@@ -106,10 +106,7 @@ def _doubts_of_known(disparity: Disparity, seen: F32, known: F32, at: _Index) ->
     """Means of logarithms of cues over the pixels with a disparity, and their share."""
     share = {size: _mean(known, size) for size in CONTEXT_WINDOWS_PX}
     for name in KNOWN_CUES:
-        cue = _plain(disparity.cues[name])
-        image = _reduce(
-            np.where(seen, cue if name.startswith("support") else _log(cue), np.float32(0))
-        )
+        image = _reduce(np.where(seen, _told(name, _plain(disparity.cues[name])), np.float32(0)))
         yield from (
             (
                 f"{name}_known_{size}",
@@ -167,7 +164,12 @@ def _plain(cue: F32) -> F32:
     return np.where(np.isfinite(cue), cue, np.float32(0))
 
 
-def _log(cue: F32) -> F32:
+def _told(name: str, cue: F32) -> F32:
+    """A share as it is, log odds of a confidence, logarithms of all else."""
+    if name.startswith("support"):
+        return cue
+    if name == "confidence":
+        return np.log((cue + _FLOOR) / (1 + _FLOOR - cue))
     return np.asarray(np.log(np.maximum(cue, 0) + FLOOR_PX), np.float32)
 
 

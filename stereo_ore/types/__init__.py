@@ -5,6 +5,7 @@ y down, z forward) unless a name says otherwise. A missing measurement is NaN.
 """
 
 from stereo_ore.types.arrays import (
+    AROUND_CUES,
     CONTEXT,
     CONTEXT_REACH_PX,
     CONTEXT_WINDOWS_PX,
@@ -72,6 +73,7 @@ from stereo_ore.types.stages import (
 )
 
 __all__ = [
+    "AROUND_CUES",
     "CONTEXT",
     "CONTEXT_REACH_PX",
     "CONTEXT_WINDOWS_PX",

@@ -28,7 +28,7 @@ RELIEF_CUES = tuple(
     for n in RELIEF_WINDOWS_PX
     for name in (f"offset_{n}_px", f"scatter_{n}_px", f"support_{n}")
 )
-CUES = PIXEL_CUES + RELIEF_CUES
+CUES = (*PIXEL_CUES, *RELIEF_CUES, "confidence")
 """What the matcher knows about a pixel beside its disparity; `Disparity.cues` and `VoxelCloud.cues`
 are keyed by these.
 
@@ -42,15 +42,17 @@ median_diff_px  |disparity − its local median|, px
 offset_N_px     disparity − the plane fitted to a window of N px around it, px
 scatter_N_px    root mean square of the residuals of that plane, px
 support_N       share of the window that has a disparity, 0…1
+confidence      probability that the disparity is within a pixel of the truth, 0 where there is none
 """
 
 CONTEXT_WINDOWS_PX, CONTEXT_REACH_PX = (15, 41, 101), (9, 25, 61)
+AROUND_CUES = (*PIXEL_CUES, "confidence")
 KNOWN_CUES = (
     "lr_diff_px", "photometric", "spread_px", "scatter_14_px", "scatter_36_px", "median_diff_px",
-    "support_14",
+    "support_14", "confidence",
 )  # fmt: skip
 CONTEXT = (
-    *(f"{name}_around_{n}" for name in PIXEL_CUES for n in CONTEXT_WINDOWS_PX),
+    *(f"{name}_around_{n}" for name in AROUND_CUES for n in CONTEXT_WINDOWS_PX),
     *(f"{name}_known_{n}" for name in KNOWN_CUES for n in CONTEXT_WINDOWS_PX),
     *(f"known_{n}" for n in CONTEXT_WINDOWS_PX),
     *(
@@ -64,9 +66,9 @@ CONTEXT = (
 )
 """Cues of voxels that `surroundings.look_around` adds, from windows of N px around each.
 
-CUE_around_N         mean of a pixel cue
-CUE_known_N          mean of the logarithm of a cue (of a support itself) over the pixels that have
-                     a disparity
+CUE_around_N         mean of a pixel's cue
+CUE_known_N          mean of the logarithm of a cue (of a support itself, of a confidence the log
+                     odds) over the pixels that have a disparity
 known_N              their share, 0…1
 off_N                sign(o) · log(1 + |o|) of the voxel's disparity o over their mean, px
 deviation_N          logarithm of their standard deviation, px

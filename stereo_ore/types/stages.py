@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -56,8 +56,9 @@ class Disparity:
     doubts.
 
     `confidence` (H, W) float32 is the probability that a disparity is within a pixel of the truth,
-    NaN where there is none. `cues` maps names of `CUES` to (h, w) float32 arrays of the region's
-    pixels (any subset); `diagnostics` are counts and settings used.
+    NaN where there is none. `measured` (H, W) float32 [px] holds those too that are less likely
+    than `matching.min_confidence`; None: there are no others. `cues` maps names of `CUES` to (h, w)
+    float32 arrays of the region's pixels (any subset); `diagnostics` are counts and settings used.
     """
 
     values: F32
@@ -65,12 +66,19 @@ class Disparity:
     confidence: F32
     cues: Mapping[str, F32] = field(default_factory=dict)
     diagnostics: Mapping[str, Any] = field(default_factory=dict)
+    measured: F32 | None = None
 
     def __post_init__(self) -> None:
         check_shape(self, "values", self.values, None, None)
         check_shape(self, "confidence", self.confidence, *self.values.shape)
         for name, cue in self.cues.items():
             check_shape(self, f"cues[{name!r}]", cue, *self.values[self.region.slices].shape)
+        if self.measured is not None:
+            check_shape(self, "measured", self.measured, *self.values.shape)
+
+    def unsifted(self) -> Disparity:
+        """The same with all that was measured as its values: what the filter judges."""
+        return self if self.measured is None else replace(self, values=self.measured, measured=None)
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,8 @@ from stereo_ore.version import __version__
 LEFT_OUT = ("haze", "ghost")
 """Kinds of outliers that no training has."""
 
-_FOLDS = 2
+_FOLDS = 6
+"""Fits that judge a stereo scorer; so many real sets are left out one by one."""
 
 
 def of_geometry(scorer: Scorer, seeds: range, scans: Sequence[str]) -> Scorer:
@@ -48,7 +49,7 @@ def of_stereo(scorer: Scorer, learned: Sequence[scorers.Lesson]) -> Scorer:
     """A scorer with its origin: fits to other sets judge it on each real set as it is."""
     cells = sorted({lesson.cell for lesson in learned if lesson.name != lesson.cell})
     figures: dict[str, Any] = {}
-    for fold in range(_FOLDS if len(cells) >= _FOLDS else 0):
+    for fold in range(min(_FOLDS, len(cells)) if len(cells) > 1 else 0):
         out = set(cells[fold::_FOLDS])
         other = scorers.fit([lesson for lesson in learned if lesson.cell not in out], "stereo")
         figures |= {lesson.name: _judged(other, lesson) for lesson in learned if lesson.cell in out}

@@ -117,7 +117,8 @@ def image_space(voxels: VoxelCloud) -> F32:
 
 def _cues(voxels: VoxelCloud) -> Callable[[slice | Rows], F32]:
     """What tells the cues (n, F) of some rows: shares as they are, offsets as
-    sign(o)·log(1 + 3|o|), logarithms of all else; what the matcher did not know counts as 0.
+    sign(o)·log(1 + 3|o|), the confidence as log odds, logarithms of all else; what the matcher did
+    not know counts as 0.
 
     Then the points behind a voxel over those it has room for, its edge in pixels, depth noise in
     edges, and what lies around, none of it beyond ±`MOST`. A table of all rows would cost more to
@@ -141,6 +142,8 @@ def _cues(voxels: VoxelCloud) -> Callable[[slice | Rows], F32]:
 
 
 def _scaled(name: str, cue: F32) -> F32:
+    if name == "confidence":
+        return log_odds(cue)
     if name.startswith("offset"):
         return np.asarray(np.copysign(np.log1p(3 * np.abs(cue)), cue))
     if name.startswith("scatter"):

@@ -112,13 +112,20 @@ def corrected(disparity: Disparity, registration: Registration | None, rig: Rig)
     """The disparity with the bars where they are known to be: all points move along their rays."""
     if registration is None:
         return disparity
-    region, values = disparity.region, disparity.values.copy()
+    region = disparity.region
     x = (np.arange(region.x0, region.x1) - rig.cx) / rig.fx
     y = (np.arange(region.y0, region.y1) - rig.cy) / rig.fy
     constant, along_x, along_y = registration.field_px
-    values[region.slices] -= (constant + along_x * x).astype(np.float32)[None, :]
-    values[region.slices] -= (along_y * y).astype(np.float32)[:, None]
-    return replace(disparity, values=values)
+    across, down = (constant + along_x * x).astype(np.float32), (along_y * y).astype(np.float32)
+
+    def moved(values: F32) -> F32:
+        values = values.copy()
+        values[region.slices] -= across[None, :]
+        values[region.slices] -= down[:, None]
+        return values
+
+    measured = None if disparity.measured is None else moved(disparity.measured)
+    return replace(disparity, values=moved(disparity.values), measured=measured)
 
 
 @dataclass(frozen=True)

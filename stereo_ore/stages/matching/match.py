@@ -45,7 +45,8 @@ def match(pair: RectifiedPair, region: Region, config: MatchingConfig) -> Dispar
     Disparity
         Full-image values [px], the calibration's correction added, NaN outside the region and where
         nothing reliable was found; the probability that each is right; cues of each pixel of the
-        region; counts of what each step left.
+        region; what is less likely than `config.min_confidence` in `measured` alone; counts of what
+        each step left.
     """
     images, compared = light.evened(sgbm.crop(grey(pair.left), grey(pair.right), region), config)
     found = consistency.match_both(images, config, compared)
@@ -54,16 +55,19 @@ def match(pair: RectifiedPair, region: Region, config: MatchingConfig) -> Dispar
     matched = found.left >= 0
     textured = matched & (found.texture >= np.float32(config.min_texture))
     sure = found.valid & (measured.confidence >= np.float32(config.min_confidence))
-    values, chances = (
-        np.full((pair.rig.height, pair.rig.width), np.nan, np.float32) for _ in range(2)
+    values, chances, every = (
+        np.full((pair.rig.height, pair.rig.width), np.nan, np.float32) for _ in range(3)
     )
-    offset = np.float32(region.min_disparity + pair.rig.disparity_offset_px)
-    np.copyto(values[region.slices], measured.values + offset, where=sure)
+    shifted = measured.values + np.float32(region.min_disparity + pair.rig.disparity_offset_px)
+    np.copyto(values[region.slices], shifted, where=sure)
     np.copyto(chances[region.slices], measured.confidence, where=sure)
+    np.copyto(every[region.slices], shifted, where=found.valid)
     masks = {"matched": matched, "textured": textured, "disparities": sure}
     counts = {name: int(mask.sum()) for name, mask in masks.items()}
-    doubts = measured.cues | surface
-    return Disparity(values, region, chances, doubts, search_saved(pair.rig, region) | counts)
+    doubts = measured.cues | surface | {"confidence": measured.confidence * found.valid}
+    return Disparity(
+        values, region, chances, doubts, search_saved(pair.rig, region) | counts, every
+    )
 
 
 @dataclass(frozen=True)
