@@ -104,10 +104,11 @@ def upright(values: npt.NDArray[Any], path: Path) -> npt.NDArray[Any]:
 
 def flat(records: Records, path: Path) -> Records:
     """The records with a column a number: fields of several are split, those of text left out and
-    named.
+    named, those without a name called by their number.
     """
     columns, left_out = Columns(), list[str]()
-    for name, column in columns_of(records).items():
+    for number, (given, column) in enumerate(columns_of(records).items()):
+        name = given or f"field_{number}"
         if column.dtype.kind not in NUMBERS + "b":
             left_out.append(name)
         elif column.ndim == 1:
