@@ -169,7 +169,8 @@ def _told(name: str, cue: F32) -> F32:
     if name.startswith("support"):
         return cue
     if name == "confidence":
-        return np.log((cue + _FLOOR) / (1 + _FLOOR - cue))
+        share = np.minimum(cue, 1)
+        return np.log((share + _FLOOR) / (1 + _FLOOR - share))
     return np.asarray(np.log(np.maximum(cue, 0) + FLOOR_PX), np.float32)
 
 
