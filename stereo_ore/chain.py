@@ -140,7 +140,8 @@ class Chain:
         grid = voxels.voxelise(points, every, self.rig, size_m)
         grid = trace.reached("voxels", surroundings.look_around(grid, every, eyes))
         filtered = trace.reached("filter", filters.apply(grid, config.filter))
-        kept = filtered.keep[grid.inverse]
+        # A lump's pixels are those that neither filter nor matcher doubts.
+        kept = filtered.keep[grid.inverse] & disparity.is_known(points.pixel)
         surface = cloud.surface(points, kept, eyes, disparity.region)
         alien = foreign.places(surface, keep_out)
         surface = trace.reached("surface", foreign.without_foreign(surface, alien))

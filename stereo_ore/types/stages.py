@@ -76,6 +76,10 @@ class Disparity:
         if self.measured is not None:
             check_shape(self, "measured", self.measured, *self.values.shape)
 
+    def is_known(self, pixel: I32) -> Mask:
+        """Whether flat pixel indices (N,) have a value that is likely enough."""
+        return np.isfinite(self.values.ravel()[pixel])
+
     def unsifted(self) -> Disparity:
         """The same with all that was measured as its values: what the filter judges."""
         return self if self.measured is None else replace(self, values=self.measured, measured=None)
