@@ -162,8 +162,8 @@ class Chain:
         surface = foreign.without_foreign(surface, alien)
         ore_map = foreign.cleared(self._segment(disparity, surface, screen), alien, surface)
         trace.reached("segment", ore_map)
-        hidden = ore_map, alien.mask
-        trace.reached("fines", fines.fines_share(surface, screen, site.volume, *hidden))
+        covered = fines.fines_share(surface, screen, site.volume, ore_map, alien.mask)
+        trace.reached("fines", covered)
         solids = trace.reached("solids", solid.solids(surface, ore_map, screen, config.solid))
         plans = strike.plans(surface, ore_map, solids, screen, site, config.strike)
         plans = health.without_blurred(plans, ore_map, matched, eyes, config.health)

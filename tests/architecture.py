@@ -80,6 +80,7 @@ CORE = frozenset(
         "errors",
         "transforms",
         "planes",
+        "rays",
         "threads",
         "times",
         "engine",

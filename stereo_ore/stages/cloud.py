@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from stereo_ore.config import CloudConfig
+from stereo_ore.rays import contained
 from stereo_ore.types import (
-    F32,
     I32,
     Disparity,
     Mask,
@@ -56,7 +55,7 @@ def reproject(
     x = np.arange(region.x0, region.x1, dtype=np.float32) - np.float32(rig.cx)
     y = np.arange(region.y0, region.y1, dtype=np.float32) - np.float32(rig.cy)
     if volume is not None:
-        inside &= _contained(depth, x / rig.fx, y / rig.fy, volume)
+        inside &= contained(volume, depth, np.asarray(x / rig.fx), np.asarray(y / rig.fy))
     index = np.flatnonzero(inside).astype(np.int32)
     row, column = _rows_columns(index, values.shape[1])
     z = depth.ravel()[index]
@@ -84,24 +83,6 @@ def nearest_beyond(
     points = reproject(disparity, pair, volume, unlimited, 1.0)
     beyond = points.xyz[points.xyz[:, 2] > config.max_depth_m, 2]
     return float(beyond.min()) if len(beyond) else None
-
-
-def _contained(depth: F32, x: F32, y: F32, volume: Volume) -> Mask:
-    """Which pixels (h, w), at their depths [m] on rays of slopes x (w,) and y (h,), the volume
-    contains.
-
-    A coordinate in the volume's frame is the depth times a sum of one term of the column and one of
-    the row.
-    """
-    inside = np.ones(depth.shape, np.bool_)
-    for row, low, high in zip(volume.T_box_camera, volume.min_m, volume.max_m, strict=False):
-        across, down = (row[0] * x).astype(np.float32), (row[1] * y + row[2]).astype(np.float32)
-        coordinate = across[None, :] + down[:, None]
-        # A disparity of zero is infinitely far, on an axis of the volume nowhere: not inside.
-        with np.errstate(invalid="ignore"):
-            coordinate *= depth
-        inside &= cv2.inRange(coordinate, float(low - row[3]), float(high - row[3])) > 0
-    return inside
 
 
 def _rows_columns(index: I32, width: int) -> tuple[I32, I32]:

@@ -6,11 +6,12 @@ closes it. Ties between bars close gaps as well, but in bands that are too narro
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
+from stereo_ore.rays import contained
 from stereo_ore.types import F32, Bars, Grizzly, Mask, OreMap, Plane, Surface, Volume
 
 _PIXELS = 25_000
@@ -125,7 +126,8 @@ def _view(
     ore_map, foreign = hidden
     h, w = foreign.shape
     labels = ore_map.labels[surface.y0 : surface.y0 + h, surface.x0 : surface.x0 + w]
-    free = _inside(surface, screen.plane, volume, depth, step, _MARGIN * opening_m)
+    inner = _narrowed(volume, screen.plane, _MARGIN * opening_m)
+    free = (depth > 0) & contained(inner, depth, *surface.slopes(step))
     halo = min(round(_HALO * opening_m / px_m), max(depth.shape))
     wide = np.ones((2 * halo + 1, 2 * halo + 1), np.uint8)
     lumps = (labels[::step, ::step] > 0) | foreign[::step, ::step]
@@ -133,18 +135,11 @@ def _view(
     return _View(surface, step, depth, height, sigma, free)
 
 
-def _inside(
-    surface: Surface, plane: Plane, volume: Volume, depth: F32, step: int, margin_m: float
-) -> Mask:
-    """Pixels (h, w) whose rays meet the plane, at these depths, inside the volume, and so far from
-    its faces that stand on the plane.
-    """
-    inside = depth > 0
-    for row, low, high in zip(volume.T_box_camera, volume.min_m, volume.max_m, strict=False):
-        margin = margin_m if abs(float(row[:3] @ plane.normal)) < _STEEP else 0.0
-        low, high = low - row[3] + margin, high - row[3] - margin
-        inside &= cv2.inRange(surface.on_rays(row[:3], step) * depth, float(low), float(high)) > 0
-    return inside
+def _narrowed(volume: Volume, plane: Plane, margin_m: float) -> Volume:
+    """The volume less a margin along those of its faces that stand on the plane."""
+    standing = np.abs(volume.T_box_camera[:3, :3] @ plane.normal) < _STEEP
+    margin = np.where(standing, margin_m, 0.0)
+    return replace(volume, min_m=volume.min_m + margin, max_m=volume.max_m - margin)
 
 
 def _closed(

@@ -31,6 +31,7 @@ from stereo_ore.types.geometry import (
     Rig,
     StereoCalibration,
     Volume,
+    on_rays,
 )
 from stereo_ore.types.results import (
     ForeignBody,
@@ -129,5 +130,6 @@ __all__ = [
     "VoxelCloud",
     "centred_cloud",
     "check_shape",
+    "on_rays",
     "single_voxels",
 ]

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from stereo_ore.types.arrays import F64, Mask, check_shape
+from stereo_ore.types.arrays import F32, F64, Mask, check_shape
 
 
 @dataclass(frozen=True)
@@ -134,6 +134,17 @@ class Plane:
     def height(self, xyz: npt.ArrayLike) -> F64:
         """Signed distance [m] of (..., 3) points, positive on the camera's side."""
         return np.asarray(xyz, dtype=np.float64) @ self.normal - self.offset
+
+
+def on_rays(vector: F64, x: F64, y: F64) -> F32:
+    """Product of a vector with the rays (x, y, 1) of slopes x (w,) and y (h,), (h, w): linear in
+    the pixel.
+    """
+    across, down = (
+        (vector[0] * x).astype(np.float32),
+        (vector[1] * y + vector[2]).astype(np.float32),
+    )
+    return np.asarray(across[None, :] + down[:, None])
 
 
 @dataclass(frozen=True)

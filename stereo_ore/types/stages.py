@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from stereo_ore.types.arrays import F32, F64, I16, I32, U8, Mask, check_shape
-from stereo_ore.types.geometry import Plane, Region, Rig
+from stereo_ore.types.geometry import Plane, Region, Rig, on_rays
 
 StampSource = Literal[
     "header", "csv", "container", "file name", "modification time", "arrival", "options"
@@ -284,18 +284,16 @@ class Surface:
         check_shape(self, "bgr", self.bgr, *self.xyz.shape)
         check_shape(self, "sigma_z", self.sigma_z, *self.xyz.shape[:2])
 
-    def on_rays(self, vector: F64, step: int = 1) -> F32:
-        """Product of a vector with the rays (x/z, y/z, 1) of every `step`-th pixel, (h, w): linear
-        in the pixel.
-        """
+    def slopes(self, step: int = 1) -> tuple[F64, F64]:
+        """x/z (w,) and y/z (h,) of the rays of every `step`-th pixel."""
         h, w = self.sigma_z.shape
         x = (self.x0 + np.arange(0, w, step) - self.rig.cx) / self.rig.fx
         y = (self.y0 + np.arange(0, h, step) - self.rig.cy) / self.rig.fy
-        across, down = (
-            (vector[0] * x).astype(np.float32),
-            (vector[1] * y + vector[2]).astype(np.float32),
-        )
-        return np.asarray(across[None, :] + down[:, None])
+        return np.asarray(x), np.asarray(y)
+
+    def on_rays(self, vector: F64, step: int = 1) -> F32:
+        """Product of a vector with the rays (x/z, y/z, 1) of every `step`-th pixel, (h, w)."""
+        return on_rays(vector, *self.slopes(step))
 
 
 @dataclass(frozen=True)

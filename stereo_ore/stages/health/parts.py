@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stereo_ore.config import HealthConfig
+from stereo_ore.rays import contained
 from stereo_ore.types import (
     F32,
     F64,
@@ -30,6 +31,7 @@ from stereo_ore.types import (
     Solid,
     StrikePlan,
     Volume,
+    on_rays,
 )
 
 _STEP = 2
@@ -94,30 +96,20 @@ def judge_parts(
     rows, columns = disparity.region.slices
     x = (np.arange(columns.start, columns.stop, _STEP) - rig.cx) / rig.fx
     y = (np.arange(rows.start, rows.stop, _STEP) - rig.cy) / rig.fy
-    slope = _on_rays(screen.plane.normal, x, y)
+    slope = on_rays(screen.plane.normal, x, y)
     depth = np.float32(screen.plane.offset) / slope
     excess = disparity.values[rows, columns][::_STEP, ::_STEP] + np.float32(rig.doffs_px)
     excess -= slope * np.float32(rig.fx * rig.baseline_m / screen.plane.offset)
     bars = screen.bars
-    turns = (_on_rays(bars.across, x, y) * depth - np.float32(bars.phase_m)) / np.float32(
+    turns = (on_rays(bars.across, x, y) * depth - np.float32(bars.phase_m)) / np.float32(
         bars.pitch_m
     )
     off_centre = np.abs(turns - np.round(turns)) * np.float32(2 * bars.pitch_m / bars.width_m)
     gap = off_centre > min(_GAP, 0.5 * (1 + bars.pitch_m / bars.width_m))
     rows_off = _elsewhere(excess, off_centre < _INNER, gap)
-    rows_off |= _bent(excess, turns, _within(volume, x, y, depth))
+    inside = np.ones(depth.shape, np.bool_) if volume is None else contained(volume, depth, x, y)
+    rows_off |= _bent(excess, turns, inside)
     return Parts(off_centre < _WIDE, rows_off)
-
-
-def _within(volume: Volume | None, x: F64, y: F64, depth: F32) -> Mask:
-    """Which pixels (h, w) meet the plane, at these depths, inside the volume."""
-    inside = np.ones(depth.shape, np.bool_)
-    if volume is None:
-        return inside
-    for row, low, high in zip(volume.T_box_camera, volume.min_m, volume.max_m, strict=False):
-        along = _on_rays(row[:3], x, y) * depth
-        inside &= cv2.inRange(along, float(low - row[3]), float(high - row[3])) > 0
-    return inside
 
 
 def row_doubts(parts: Parts | None, config: HealthConfig) -> Iterator[Reason]:
@@ -176,14 +168,6 @@ def _doubt(on_bars: float, in_rows: float) -> Reason | None:
             f"in {100 * in_rows:.0f} % of it the rows' bars are measured elsewhere than others",
         )
     return None
-
-
-def _on_rays(vector: F64, x: F64, y: F64) -> F32:
-    across, down = (
-        (vector[0] * x).astype(np.float32),
-        (vector[1] * y + vector[2]).astype(np.float32),
-    )
-    return np.asarray(across[None, :] + down[:, None])
 
 
 def _elsewhere(excess: F32, comb: Mask, gap: Mask) -> Mask:

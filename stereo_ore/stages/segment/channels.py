@@ -9,7 +9,19 @@ import cv2
 import numpy as np
 
 from stereo_ore.threads import pool
-from stereo_ore.types import F32, F64, U8, Disparity, Grizzly, Mask, Plane, Region, Rig, Surface
+from stereo_ore.types import (
+    F32,
+    F64,
+    U8,
+    Disparity,
+    Grizzly,
+    Mask,
+    Plane,
+    Region,
+    Rig,
+    Surface,
+    on_rays,
+)
 
 CHANNELS = (
     "height", "normal_x", "normal_y", "relief", "valid", "valid_share", "lr_diff", "kept",
@@ -106,7 +118,7 @@ def _shape(
     u = (_middles(region.x0, region.x1, size[0]) - rig.cx) / rig.fx
     v = (_middles(region.y0, region.y1, size[1]) - rig.cy) / rig.fy
     axes = np.stack([*_in_plane(plane.normal), plane.normal]) / opening_m
-    place = [(_on_rays(axis, u, v) * z).astype(np.float32) for axis in axes]
+    place = [(on_rays(axis, u, v) * z).astype(np.float32) for axis in axes]
     place[2] -= np.float32(plane.offset / opening_m)
     valid = (share > np.float32(0.3)) & (np.abs(place[2]) < BEYOND)
     weight = valid.astype(np.float32)
@@ -157,14 +169,6 @@ def _in_plane(normal: F64) -> tuple[F64, F64]:
     across /= max(float(np.linalg.norm(across)), 1e-9)
     down = np.cross(normal, across)
     return across, down * (1.0 if down[1] >= 0 else -1.0)
-
-
-def _on_rays(vector: F64, u: F64, v: F64) -> F32:
-    across, down = (
-        (vector[0] * u).astype(np.float32),
-        (vector[1] * v + vector[2]).astype(np.float32),
-    )
-    return np.asarray(across[None, :] + down[:, None])
 
 
 def _shrunk(image: F32, size: tuple[int, int]) -> F32:
