@@ -22,7 +22,6 @@ from stereo_ore.transforms import (
     nearest_rotation,
     rotate,
     rotation_fault,
-    transform_points,
 )
 from stereo_ore.types import F64, BarLine, BarProfile, Plane, Site, Survey, Volume
 
@@ -303,11 +302,8 @@ def _camera_plane(plane: _Plane, T_arm_camera: F64 | None) -> Plane:
 
 
 def _camera_bar(bar: _Bar, T_arm_camera: F64 | None) -> BarLine:
-    T = inverse(_to(bar.frame, T_arm_camera))
-    direction = rotate(T, np.array(bar.direction))
-    return BarLine(
-        transform_points(T, np.array(bar.point_m)), direction / np.linalg.norm(direction)
-    )
+    direction = np.array(bar.direction) / np.linalg.norm(bar.direction)
+    return BarLine(np.array(bar.point_m), direction).seen_from(_to(bar.frame, T_arm_camera))
 
 
 def _view_faults(site: Site | None) -> list[str]:

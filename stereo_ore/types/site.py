@@ -105,6 +105,11 @@ class BarLine:
         check_shape(self, "point", self.point, 3)
         check_shape(self, "direction", self.direction, 3)
 
+    def seen_from(self, T_given_other: F64) -> BarLine:
+        """The same in another frame, whose pose in that of the line is `T_given_other`."""
+        R, t = T_given_other[:3, :3], T_given_other[:3, 3]
+        return BarLine(R.T @ (self.point - t), R.T @ self.direction)
+
 
 @dataclass(frozen=True)
 class Survey:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from stereo_ore.lab.bench.fault_scenes import Case
-from stereo_ore.types import F64, U8, BarLine, CameraModel, Plane, Site, StereoCalibration
+from stereo_ore.types import F64, U8, CameraModel, Plane, Site, StereoCalibration
 
 OTHER_ZED_BASELINE = 0.063 / 0.12
 """A ZED Mini's file for a ZED 2."""
@@ -103,11 +103,13 @@ def _moved(site: Site, T_old_new: F64) -> Site:
         plane = Plane(T_old_new[:3, :3].T @ plane.normal, offset)
     if volume is not None:
         volume = replace(volume, T_box_camera=volume.T_box_camera @ T_old_new)
-    if bar is not None:
-        R, t = T_old_new[:3, :3], T_old_new[:3, 3]
-        bar = BarLine(R.T @ (bar.point - t), R.T @ bar.direction)
-    T = None if T is None else T @ T_old_new
-    return replace(site, plane=plane, volume=volume, bar=bar, T_arm_camera=T)
+    return replace(
+        site,
+        plane=plane,
+        volume=volume,
+        T_arm_camera=None if T is None else T @ T_old_new,
+        bar=None if bar is None else bar.seen_from(T_old_new),
+    )
 
 
 def _yawed(angle_deg: float) -> _Fault:

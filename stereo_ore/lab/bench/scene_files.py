@@ -79,9 +79,8 @@ def _bar(T_screen_camera: F64, truth: dict[str, Any]) -> BarLine | None:
     middles = truth.get("bar_centres_x_mm")
     if not middles:
         return None
-    R, t = T_screen_camera[:3, :3], T_screen_camera[:3, 3]
-    point = np.array([middles[len(middles) // 2] / 1000, 0, 0])
-    return BarLine((point - t) @ R, R[1].copy())
+    middle = np.array([middles[len(middles) // 2] / 1000, 0, 0])
+    return BarLine(middle, np.array([0.0, 1, 0])).seen_from(T_screen_camera)
 
 
 def _volume(T_screen_camera: F64, truth: dict[str, Any]) -> Volume:

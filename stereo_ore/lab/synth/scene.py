@@ -120,9 +120,8 @@ def site_of(spec: SceneSpec, rectified: Rectification) -> Site:
     origin = (T_ws[:3, 3] - T_arm_camera[:3, 3]) @ T_arm_camera[:3, :3]
     plane = Plane(normal, float(normal @ origin))
     screen = spec.screen
-    x = screen.bar_centres[len(screen.bar_centres) // 2]
-    bar = (T_ws @ (x, 0, 0, 1))[:3] - T_arm_camera[:3, 3]
-    turned = T_arm_camera[:3, :3]
+    middle = np.array([screen.bar_centres[len(screen.bar_centres) // 2], 0, 0])
+    bar = BarLine(middle, np.array([0.0, 1, 0])).seen_from(inverse(T_ws) @ T_arm_camera)
     return Site(
         T_arm_camera,
         volume,
@@ -131,5 +130,5 @@ def site_of(spec: SceneSpec, rectified: Rectification) -> Site:
         screen.bar_width,
         cross_opening_m=screen.cross_opening,
         bar_profile="round" if screen.round else "flat",
-        bar=BarLine(bar @ turned, T_ws[:3, 1] @ turned),
+        bar=bar,
     )

@@ -176,8 +176,10 @@ def _silhouette(fold: F64, width: float, middle: float) -> tuple[float, float]:
 
 
 def _half(slope: F64) -> float:
-    """At which place, between two of them, it has fallen to half of the first."""
+    """At which place, between two of them, it has fallen to half of the first; 0 if at none."""
     after = int(np.argmax(slope < slope[0] / 2))
+    if not after:
+        return 0.0
     part = (slope[after - 1] - slope[0] / 2) / (slope[after - 1] - slope[after])
     return after - 1 + float(part)
 
