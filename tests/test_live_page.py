@@ -104,8 +104,8 @@ def test_the_state_tells_frames_targets_age_and_sinks(live):
 
 def test_targets_are_gone_when_they_have_expired(live):
     live.add(0)
-    wait_for(lambda: not live.state()["message"]["valid"], 4, "expiry")
-    wait_for(lambda: live.state()["message"]["status"] == "expired", 4, "withdrawal")
+    wait_for(lambda: not live.state()["message"]["valid"], what="expiry")
+    wait_for(lambda: live.state()["message"]["status"] == "expired", what="withdrawal")
     state = live.state()
     assert (state["valid_s"], state["message"]["targets"], state["message"]["status"]) == (
         0.0,

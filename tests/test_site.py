@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from stereo_ore.errors import ConfigError
 from stereo_ore.io.calibration.geometry import from_vector
-from stereo_ore.io.site import HandEyeRecord, load_site, save_arm, save_site
+from stereo_ore.io.site import load_site, save_arm, save_site
+from stereo_ore.io.site_sections import HandEyeRecord
 from stereo_ore.transforms import inverse, rotation_fault, transform_points
 from stereo_ore.types import BarLine, Plane, Site, Volume
 

@@ -73,7 +73,8 @@ def make(
     from stereo_ore.draw import site_picture
     from stereo_ore.io.parameters import load_config
     from stereo_ore.io.recordings import open_source
-    from stereo_ore.io.site import SurveyRecord, load_site, save_site
+    from stereo_ore.io.site import load_site, save_site
+    from stereo_ore.io.site_sections import SurveyRecord
     from stereo_ore.types import Site
 
     calibration = calibration_for(open_source(source), calib)

@@ -234,7 +234,8 @@ def _show(result: HandEyeResult) -> None:
 
 
 def _write_site(result: HandEyeResult, out: Path, base: Path | None, mount: Mount) -> None:
-    from stereo_ore.io.site import HandEyeRecord, save_arm
+    from stereo_ore.io.site import save_arm
+    from stereo_ore.io.site_sections import HandEyeRecord
 
     record = HandEyeRecord(
         method=result.method,
