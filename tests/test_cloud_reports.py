@@ -359,6 +359,20 @@ def test_las_there_and_back(suffix: str, tmp_path: Path) -> None:
         clouds.read(path)
 
 
+def test_either_count_of_a_las_header_is_held_against_the_file(tmp_path: Path) -> None:
+    """The old one of 32 bits and the one of LAS 1.4: the version says which of them counts."""
+    pytest.importorskip("laspy")
+    path = tmp_path / "cloud.las"
+    clouds.write(path, clouds.from_columns({axis: np.arange(5.0) for axis in "xyz"}))
+    whole = path.read_bytes()
+    for offset, kind in ((107, "<I"), (247, "<Q")):
+        damaged = bytearray(whole)
+        struct.pack_into(kind, damaged, offset, 10**9)
+        path.write_bytes(damaged)
+        with pytest.raises(CloudError, match="claims points"):
+            clouds.read(path)
+
+
 @pytest.mark.parametrize("suffix", list(clouds.CLOUD_FORMATS))
 def test_an_odd_column_is_kept_or_told(
     suffix: str, tmp_path: Path, caplog: pytest.LogCaptureFixture

@@ -81,7 +81,7 @@ def read(path: Path) -> Records:
 
 def _check_header(path: Path) -> None:
     """Refuse a header that claims more records or points than the file can hold: laspy would look
-    for them all.
+    for them all. Which of the two counts of points it takes depends on the version: neither may.
     """
     with path.open("rb") as file:
         head = file.read(_HEADER_BYTES)
@@ -95,7 +95,8 @@ def _check_header(path: Path) -> None:
     )
     late, start_late = 0, size
     if header >= _HEADER_BYTES and len(head) == _HEADER_BYTES:
-        start_late, late, points = struct.unpack_from("<QIQ", head, 235)
+        start_late, late, wide_points = struct.unpack_from("<QIQ", head, 235)
+        points = max(points, wide_points)
     require_bytes(records * VLR_BYTES, min(start, size) - header, path, "records")
     require_bytes(late * EVLR_BYTES, size - start_late, path, "records")
     if path.suffix.lower() == ".las" and not kind & _COMPRESSED:
