@@ -91,11 +91,12 @@ class Inbox:
         if seen is not None:
             folder.handled[base] = seen
 
-    def handled(self) -> Iterator[tuple[Path, Look]]:
-        """Files that are handled, with their looks then."""
+    def handled(self) -> Iterator[tuple[str, Look]]:
+        """Paths of the files that are handled, with their looks then."""
         for name, folder in self._folders.items():
+            place = os.path.join(self.root, name, "")
             for base, look in folder.handled.items():
-                yield self._path(name, base), look
+                yield place + base, look
 
     def _path(self, folder: str, base: str) -> Path:
         return self.root / folder / base if folder else self.root / base

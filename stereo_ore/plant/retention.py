@@ -83,14 +83,15 @@ class Retention:
     limits : sequence of Limit
         What is kept; a kind without a limit is kept whole.
     done : callable
-        Files of the inbox whose frames are recorded, with their modification times [ns] and sizes.
+        Paths of the inbox's files whose frames are recorded, with their modification times [ns] and
+        sizes.
     """
 
     def __init__(
         self,
         folder: Path,
         limits: Sequence[Limit],
-        done: Callable[[], Iterable[tuple[Path, tuple[int, int]]]] = tuple,
+        done: Callable[[], Iterable[tuple[str, tuple[int, int]]]] = tuple,
         clock: Clock = SYSTEM,
     ) -> None:
         self._folder, self._limits, self._done, self._clock = folder, limits, done, clock
