@@ -153,6 +153,9 @@ class Chain:
             if moved is None:
                 limits = (config.grizzly, config.health)
                 trace.check(health.unmeasured_doubts, surface, screen.plane, opening_m, *limits)
+        if self.empty is None:
+            # Of what was there when the screen was empty nothing is taken for ore.
+            trace.check(health.tier_doubts, surface, screen, site.volume)
         parts = health.judge_parts(disparity, self.rig, screen, site.volume)
         trace.check(health.row_doubts, parts, config.health)
         alien = foreign.find_foreign(surface, screen, opening_m, alien, config.foreign)

@@ -20,7 +20,8 @@ class Screen:
 
     `size` is the clear inside of the frame (x, y), whose top lies `rise` above the bars. With a
     `cross_opening` bars run across these too, as wide and as high, so far apart: a grid, without
-    ties. `round` bars are as deep as wide.
+    ties. `round` bars are as deep as wide. With a `step` it has two tiers: what lies at x < 0 is so
+    much lower.
     """
 
     opening: float
@@ -33,6 +34,7 @@ class Screen:
     rise: float = 0.0
     cross_opening: float | None = None
     round: bool = False
+    step: float = 0.0
 
     @property
     def bar_centres(self) -> F64:
@@ -65,15 +67,31 @@ class Screen:
 def bars(screen: Screen) -> Mesh:
     """Bars, those across them in a grid, else ties between them with their tops a little lower."""
     x, y = np.array(screen.size) / 2
-    parts = [_bar(screen, np.array([at, -y]), np.array([at, y])) for at in screen.bar_centres]
-    if screen.cross_opening:
-        ends = [(np.array([-x, at]), np.array([x, at])) for at in screen.cross_centres]
-        return merge([*parts, *(_bar(screen, *each) for each in ends)])
-    depth, thick = screen.bar_depth, 0.2 * screen.bar_width
-    for at in (np.arange(screen.ties) + 1) / (screen.ties + 1) * 2 * y - y:
-        low, high = (-x, at - thick, -0.45 * depth), (x, at + thick, -0.12 * depth)
-        parts.append(box(low, high, screen.cell))
+    parts = [
+        _lowered(_bar(screen, np.array([at, -y]), np.array([at, y])), screen.step * (at < 0))
+        for at in screen.bar_centres
+    ]
+    tiers = ((-x, x, 0.0),) if not screen.step else ((-x, 0.0, screen.step), (0.0, x, 0.0))
+    for left, right, drop in tiers:
+        for at in screen.cross_centres:
+            bar = _bar(screen, np.array([left, at]), np.array([right, at]))
+            parts.append(_lowered(bar, drop))
+        parts += [_lowered(tie, drop) for tie in _ties(screen, left, right)]
     return merge(parts)
+
+
+def _ties(screen: Screen, left: float, right: float) -> list[Mesh]:
+    """Ties between two places x; none in a grid."""
+    y, depth, thick = screen.size[1] / 2, screen.bar_depth, 0.2 * screen.bar_width
+    count = 0 if screen.cross_opening else screen.ties
+    return [
+        box((left, at - thick, -0.45 * depth), (right, at + thick, -0.12 * depth), screen.cell)
+        for at in (np.arange(count) + 1) / (count + 1) * 2 * y - y
+    ]
+
+
+def _lowered(mesh: Mesh, drop: float) -> Mesh:
+    return mesh.moved(np.eye(3), np.array([0.0, 0.0, -drop])) if drop else mesh
 
 
 def _bar(screen: Screen, start: F64, end: F64) -> Mesh:

@@ -12,6 +12,7 @@ from stereo_ore.stages.health.screen import bar_doubts, unmeasured_doubts
 from stereo_ore.stages.health.screen import screen_doubts as screen_doubts
 from stereo_ore.stages.health.site import missing as missing_in_site
 from stereo_ore.stages.health.site import other_scene
+from stereo_ore.stages.health.tiers import tier_doubts
 
 __all__ = [
     "bar_doubts",
@@ -21,6 +22,7 @@ __all__ = [
     "other_scene",
     "row_doubts",
     "screen_doubts",
+    "tier_doubts",
     "unmeasured_doubts",
     "without_blurred",
     "without_doubtful",
