@@ -358,3 +358,23 @@ def test_topics_of_drivers(name: str) -> None:
         right,
     )
     assert is_rectified(left) is rectified
+
+
+def test_of_two_marks_in_a_topic_the_last_that_will_do_tells_the_eye() -> None:
+    """A machine's name holds left or right too: another machine's eye is never the partner."""
+    left, right = "/right_boom/stereo/left/image", "/right_boom/stereo/right/image"
+    assert choose_topics((left, right), None, "bag") == (left, right)
+    assert choose_topics(("/a/left/left_image", "/a/right/right_image"), None, "bag") == (
+        "/a/left/left_image",
+        "/a/right/right_image",
+    )
+    arms = [f"/{arm}_arm/cam/{eye}/image" for arm in ("left", "right") for eye in ("left", "right")]
+    with pytest.raises(SourceError, match="has 2 pairs") as caught:
+        choose_topics(arms, None, "bag")
+    for arm in (arms[:2], arms[2:]):
+        assert f"--left-topic {arm[0]} --right-topic {arm[1]}" in str(caught.value)
+
+
+def test_small_letters_tell_the_eyes_of_topics() -> None:
+    topics = ("/cam_l/image_raw", "/cam_r/image_raw")
+    assert choose_topics(topics, None, "bag") == topics
