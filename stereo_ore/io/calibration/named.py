@@ -17,7 +17,9 @@ from stereo_ore.io.calibration.opencv_names import EYE_NAMES, SHARED_NAMES, plai
 from stereo_ore.io.yaml_io import parse_yaml
 from stereo_ore.types import StereoCalibration
 
-_KEY = re.compile(r"""(?:^|[{,])[ \t]*["']?([A-Za-z][\w .-]*?)["']?[ \t]*:""", re.MULTILINE)
+_KEY = re.compile(
+    r"""(?:^|[{,])[ \t]*["']?([A-Za-z][\w.-]*(?: [\w.-]+){0,3})["']?[ \t]{0,3}:""", re.MULTILINE
+)
 _EYE_GROUP = re.compile(r"(?:cam(?:era)?)?(left|right|l|r|[012])(?:cam(?:era)?|eye)?")
 _CENTRE, _LENS = ("fx", "fy", "cx", "cy"), ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 MOST_LEVELS = 4

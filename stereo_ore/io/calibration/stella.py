@@ -25,7 +25,7 @@ _MODELS = {"perspective": "rational_polynomial", "fisheye": "equidistant"}
 
 def recognises(text: str) -> bool:
     """Whether the text has the baseline as these programs have it."""
-    return bool(re.search(r"^\s*(Camera\.)?focal_x_baseline:", text, re.MULTILINE))
+    return bool(re.search(r"^[ \t]*(Camera\.)?focal_x_baseline:", text, re.MULTILINE))
 
 
 def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
