@@ -160,6 +160,17 @@ def test_frame_packing_as_x264_writes_it(tmp_path: Path) -> None:
     assert packing_of(access_units(both(1))[0]) is None
 
 
+@pytest.mark.parametrize("box", [b"vexu", b"lhvC"])
+def test_a_spatial_video_is_never_halved(box: bytes, tmp_path: Path) -> None:
+    """iPhones and headsets keep the second eye in a layer of HEVC that decoders pass over."""
+    path = write_video(tmp_path / "x.mp4", both(2))
+    data = path.read_bytes()
+    assert data.count(b"btrt") == 1, "a box of the sample entry, to be called otherwise"
+    path.write_bytes(data.replace(b"btrt", box))
+    with pytest.raises(SourceError, match=r"an eye a layer \(a spatial video, MV-HEVC\)"):
+        open_source(path)
+
+
 # --- tracks and two videos
 
 

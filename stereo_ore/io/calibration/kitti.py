@@ -60,7 +60,10 @@ def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
     eyes = [eye.removeprefix("_rect") for eye in eyes]
     name = f"{path.stem} {eyes[0].strip('_')}, {eyes[1].strip('_')}"
     if hints.images is None and hints.recorded_size is None and f"S{eyes[0]}" in entries:
-        _log.warning("%s: taken for rectified images; --images raw for the raw ones", path)
+        _log.warning(
+            "%s: taken for rectified images; of the raw ones say calibrate import --images raw",
+            path,
+        )
     if hints.images == "raw" or (
         hints.images is None and _has_raw_size(path, entries, eyes, hints)
     ):
