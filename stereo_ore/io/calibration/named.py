@@ -22,7 +22,7 @@ _KEY = re.compile(
 )
 _EYE_GROUP = re.compile(r"(?:cam(?:era)?)?(left|right|l|r|[012])(?:cam(?:era)?|eye)?")
 _CENTRE, _LENS = ("fx", "fy", "cx", "cy"), ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-MOST_LEVELS = 4
+_DEEPEST = 4
 
 
 def recognises(text: str) -> bool:
@@ -71,7 +71,7 @@ def _flat(data: Mapping[str, Any], eye: str = "", level: int = 0) -> Iterator[tu
             yield f"{eye}D", [data.get(key, 0.0) for key in _LENS[:count]]
         data = {key: value for key, value in data.items() if key not in (*_CENTRE, *_LENS)}
     for key, value in data.items():
-        if not isinstance(value, Mapping) or level >= MOST_LEVELS:
+        if not isinstance(value, Mapping) or level >= _DEEPEST:
             yield f"{eye}{key}", value
         elif "data" in value:
             yield f"{eye}{key}", value["data"]
