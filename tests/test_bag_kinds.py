@@ -4,6 +4,7 @@ RealSense."""
 import contextlib
 import shutil
 import sqlite3
+import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,10 +14,10 @@ import pytest
 from bags import TOPICS, Camera, Shot, camera_info, header, image_message, write_bag
 from recordings import access_units
 
-from stereo_ore.errors import CalibrationError, SourceError
+from stereo_ore.errors import CalibrationError, FrameError, SourceError
 from stereo_ore.io.recordings import open_source
 from stereo_ore.io.recordings.bag_files import _image_length
-from stereo_ore.io.recordings.ros_messages import _eye
+from stereo_ore.io.recordings.ros_messages import _eye, image
 from stereo_ore.io.recordings.topics import camera_info_topics
 
 rosbags = pytest.importorskip("rosbags", reason="the extra [bags] is not installed")
@@ -40,11 +41,13 @@ def store() -> Any:
     return get_typestore(Stores.ROS2_HUMBLE)
 
 
-def write(path: Path, messages: Sequence[Message], storage: str = "MCAP") -> Path:
+def write(
+    path: Path, messages: Sequence[Message], storage: str = "MCAP", types: Any = None
+) -> Path:
     """A ROS 2 bag of topic, time of recording and message."""
     from rosbags.rosbag2 import StoragePlugin, Writer
 
-    types = store()
+    types = types or store()
     with Writer(path, version=9, storage_plugin=StoragePlugin[storage]) as bag:
         connections: dict[str, Any] = {}
         for topic, logged_ns, message in messages:
@@ -395,6 +398,95 @@ def test_h264_in_compressed_images(tmp_path: Path) -> None:
     source = open_source(write(tmp_path / "bag", messages))
     for index in (3, 0, 2):
         np.testing.assert_array_equal(source.read(index).right, picture(index, 1))
+
+
+FFMPEG_PACKET = """std_msgs/Header header
+int32 width
+int32 height
+string encoding
+uint64 pts
+uint8 flags
+bool is_bigendian
+uint8[] data
+"""
+
+
+@pytest.mark.parametrize("encoding", ["h264", "libx264", "h264_nvenc"])
+def test_packets_of_ffmpeg_image_transport(encoding: str, tmp_path: Path) -> None:
+    pytest.importorskip("av")
+    from rosbags.typesys import get_types_from_msg
+
+    types, name = store(), "ffmpeg_image_transport_msgs/msg/FFMPEGPacket"
+    types.register(get_types_from_msg(FFMPEG_PACKET, name))
+    units = [access_units([picture(n, eye) for n in range(4)], gop=4) for eye in (0, 1)]
+    messages = []
+    for n in range(4):
+        head = header(types, START + n * PERIOD, first=False)
+        for eye, topic in enumerate(TOPICS):
+            data = np.frombuffer(units[eye][n], np.uint8)
+            packet = types.types[name](head, WIDTH, HEIGHT, encoding, n, n == 0, False, data)
+            messages.append((f"{topic}/ffmpeg", START + n * PERIOD, packet))
+    source = open_source(write(tmp_path / "bag", messages, types=types))
+    for index in (3, 0, 2):
+        np.testing.assert_array_equal(source.read(index).right, picture(index, 1))
+
+
+def test_a_compression_that_is_not_read_is_named(tmp_path: Path) -> None:
+    make = store().types["sensor_msgs/msg/CompressedImage"]
+    data = np.frombuffer(zlib.compress(bytes(99)), np.uint8)
+    message = make(header(store(), START, first=False), "bgr8; zstd", data)
+    source = open_source(write(tmp_path / "bag", [(topic, START, message) for topic in TOPICS]))
+    with pytest.raises(FrameError, match=r"its format is said to be 'bgr8; zstd'"):
+        source.read(0)
+
+
+# --- encodings of ROS images
+
+
+def raw(encoding: str, pixels: np.ndarray, height: int = HEIGHT) -> Any:
+    """An image message of two eyes' worth of nothing but its pixels."""
+    step = pixels.nbytes // len(pixels)
+    return store().types["sensor_msgs/msg/Image"](
+        header(store(), START, first=False), height, WIDTH, encoding, 0, step,
+        np.ascontiguousarray(pixels).view(np.uint8).ravel(),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("size", [8, 16])
+@pytest.mark.parametrize("pattern", ["rggb", "bggr", "gbrg", "grbg"])
+def test_bayer_patterns_of_8_and_16_bit(pattern: str, size: int) -> None:
+    """A red surface is red, whichever pattern: only the red pixels of the sensor see it."""
+    full = 2**size - 1
+    tile = np.array([full * (colour == "r") for colour in pattern], f"u{size // 8}").reshape(2, 2)
+    pixels = np.tile(tile, (HEIGHT // 2, WIDTH // 2))
+    found = image(raw(f"bayer_{pattern}{size}", pixels), Path("bag"))
+    assert found.dtype == pixels.dtype
+    np.testing.assert_array_equal(
+        found[4:-4, 4:-4], np.broadcast_to([0, 0, full], (HEIGHT - 8, WIDTH - 8, 3))
+    )
+
+
+@pytest.mark.parametrize("encoding", ["nv12", "nv21"])
+def test_colours_in_half_as_many_rows_again(encoding: str) -> None:
+    """BT.601 in its narrow range: red is Y 82, Cb 90, Cr 240 (ITU-R BT.601-7, rounded)."""
+    colour = [90, 240] if encoding == "nv12" else [240, 90]
+    pixels = np.concatenate([np.full(HEIGHT * WIDTH, 82), np.tile(colour, HEIGHT * WIDTH // 4)])
+    rows = pixels.astype(np.uint8).reshape(HEIGHT * 3 // 2, WIDTH)
+    found = image(raw(encoding, rows), Path("bag"))
+    assert found.shape == (HEIGHT, WIDTH, 3)
+    assert np.abs(found.astype(int) - [0, 0, 255]).max() <= 2
+    with pytest.raises(FrameError, match="does not fit its"):
+        image(raw(encoding, rows[:HEIGHT]), Path("bag"))
+
+
+def test_colours_of_16_bit_with_alpha() -> None:
+    pixels = np.tile(np.array([1000, 2000, 3000, 9], np.uint16), (HEIGHT, WIDTH, 1))
+    for encoding, first in (("rgba16", 3000), ("bgra16", 1000)):
+        assert image(raw(encoding, pixels), Path("bag"))[0, 0].tolist() == [
+            first,
+            2000,
+            4000 - first,
+        ]
 
 
 def test_a_compressed_bag_is_a_folder_or_its_file(tmp_path: Path) -> None:

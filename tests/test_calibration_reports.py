@@ -279,6 +279,12 @@ LINES = {
     "camera_array": ("camera_array.toml", "[cameras.1]\n", "[cameras.1]\n{key} = {value}\n"),
     "mrcal": ("left.cameramodel", "{", "{ '{key}': {value},"),
     "pycamcalib": ("camera_1_parameters.json", "{", '{"{key}": {value},'),
+    "euroc": ("cam0_sensor.yaml", "camera_model:", "{key}: {value}\ncamera_model:"),
+    "basalt": ("basalt.json", '"fx"', '"{key}": {value}, "fx"'),
+    "kitti": ("calib_cam_to_cam.txt", "K_00:", "{key}: {value}\nK_00:"),
+    "matlab": ("stereoParams.json", '"WorldUnits"', '"{key}": {value}, "WorldUnits"'),
+    "stella": ("stella.yaml", "  K_left:", "  {key}: {value}\n  K_left:"),
+    "named": ("stereo.json", '"fx"', '"{key}": {value}, "fx"'),
 }
 """Of each reader a file, and where an entry is put in."""
 
@@ -313,7 +319,8 @@ def test_no_reader_drops_one_unknown_lens_entry(
 
 
 def test_every_reader_is_asked() -> None:
-    assert LINES.keys() | {"colmap"} == CALIBRATION_FORMATS.keys(), "COLMAP's entries have no names"
+    """COLMAP's entries have no names; VINS-Fusion's lenses are in files of their own."""
+    assert LINES.keys() | {"colmap", "vins"} == CALIBRATION_FORMATS.keys()
 
 
 @pytest.mark.parametrize(
@@ -361,10 +368,10 @@ def test_damaged_gzip_and_base64_are_refused(tmp_path: Path, shared_data: Path) 
         load(tmp_path / "bad.json")
 
 
-def test_an_hdf5_or_npz_file_is_called_by_its_name(tmp_path: Path) -> None:
-    np.savez(tmp_path / "camera.npz", K1=np.eye(3))
+def test_an_hdf5_or_zip_file_is_called_by_its_name(tmp_path: Path) -> None:
+    (tmp_path / "camera.zip").write_bytes(b"PK\x03\x04" + bytes(100))
     (tmp_path / "camera.h5").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(100))
-    for name, kind in (("camera.npz", "zip archive"), ("camera.h5", "HDF5")):
+    for name, kind in (("camera.zip", "zip archive"), ("camera.h5", "HDF5")):
         with pytest.raises(CalibrationError, match=kind):
             load(tmp_path / name)
 

@@ -542,3 +542,62 @@ def test_what_others_made_of_it_comes_back(file: str, columns: dict[str, str]) -
     assert colours(found) == colours(expected)
     for name, ours in columns.items():
         np.testing.assert_allclose(found[name], expected[ours])
+
+
+# --- tables and arrays that other tools write
+
+POINTS = np.round(np.random.default_rng(3).uniform(-1, 1, (40, 3)), 4)
+
+
+def coordinates(path: Path) -> np.ndarray:
+    return clouds.xyz(clouds.read(path))
+
+
+def table(path: Path, header: str, columns: np.ndarray) -> Path:
+    rows = "\n".join(",".join(f"{value:.10g}" for value in row) for row in columns)
+    path.write_text(f"{header}\n{rows}\n" if header else f"{rows}\n")
+    return path
+
+
+@pytest.mark.parametrize("first", [0, 1])
+@pytest.mark.parametrize("header", ["", ",x,y,z", "Unnamed: 0,x,y,z"])
+def test_a_column_that_counts_the_rows_is_no_coordinate(
+    header: str, first: int, tmp_path: Path
+) -> None:
+    """pandas' ``to_csv`` and survey points: number, then the three coordinates."""
+    counted = np.column_stack([np.arange(40) + first, POINTS])
+    np.testing.assert_array_equal(coordinates(table(tmp_path / "x.csv", header, counted)), POINTS)
+
+
+def test_coordinates_that_happen_to_be_whole_are_coordinates(tmp_path: Path) -> None:
+    grid = np.column_stack([np.arange(40) % 20, np.arange(40) // 20, POINTS[:, :2]])
+    np.testing.assert_array_equal(coordinates(table(tmp_path / "x.csv", "", grid)), grid[:, :3])
+    line = np.column_stack([np.arange(40), POINTS[:, :2]])  # no other three columns are there
+    np.testing.assert_array_equal(coordinates(table(tmp_path / "x.csv", "", line)), line)
+
+
+def test_an_image_of_points_is_read_row_by_row(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """What ``cv2.reprojectImageTo3D`` makes, and the ZED's XYZRGBA."""
+    for depth in (3, 4):
+        image = np.dstack([POINTS.reshape(8, 5, 3), np.ones((8, 5))])[:, :, :depth]
+        np.save(tmp_path / "x.npy", image)
+        np.testing.assert_array_equal(coordinates(tmp_path / "x.npy"), POINTS)
+        np.savez(tmp_path / "x.npz", points=image)
+        np.testing.assert_array_equal(coordinates(tmp_path / "x.npz"), POINTS)
+    assert "row by row" in caplog.text
+    for other in (np.zeros((8, 5, 3), np.uint8), np.zeros((8, 5, 30))):  # a picture, a volume
+        np.save(tmp_path / "x.npy", other)
+        with pytest.raises(CloudError, match=r"shape \(N, 3 or more\) wanted"):
+            clouds.read(tmp_path / "x.npy")
+
+
+def test_arrays_of_points_under_other_names(tmp_path: Path) -> None:
+    colours = np.zeros((40, 3), np.uint8)
+    for arrays in ({"positions": POINTS, "colors": colours}, {"arr_0": POINTS}, {"pts": POINTS}):
+        np.savez(tmp_path / "x.npz", **arrays)
+        np.testing.assert_array_equal(coordinates(tmp_path / "x.npz"), POINTS)
+    np.savez(tmp_path / "x.npz", a=POINTS, b=POINTS)
+    with pytest.raises(CloudError, match="holds a, b; x, y, z or one of xyz, points"):
+        clouds.read(tmp_path / "x.npz")

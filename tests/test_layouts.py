@@ -142,6 +142,52 @@ def test_an_unpaired_image_is_no_less_told_where_names_are_read_by_another_mark(
     assert open_source(tmp_path).description["unpaired"] == 1
 
 
+COMPANIONS = {
+    "Falling Things": ("{}.left", "{}.right", "{}.left.depth", "{}.right.depth"),
+    "disparities": ("{}_left", "{}_right", "{}_left_disp", "{}_right_disp"),
+    "folders": ("image_left/{}", "image_right/{}", "seg_left/{}", "seg_right/{}"),
+    "a folder a frame": ("{}/left", "{}/right", "{}/left_mask", "{}/right_mask"),
+}
+
+
+@pytest.mark.parametrize("layout", COMPANIONS)
+def test_depths_and_masks_beside_the_pictures_are_no_frames(
+    layout: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    for n in range(3):
+        for kind, name in enumerate(COMPANIONS[layout]):
+            save(tmp_path / f"{name.format(f'{n:06d}')}.png", picture(n, min(kind, 2)))
+    with caplog.at_level("WARNING"):
+        assert_pairs(tmp_path, [f"{n:06d}" for n in range(3)])
+    assert "3 pairs are left out" in caplog.text
+
+
+def test_a_recording_that_is_named_after_depth_is_one(tmp_path: Path) -> None:
+    write(tmp_path, lambda n: f"depth_test_{n}_left", lambda n: f"depth_test_{n}_right")
+    assert_pairs(tmp_path, [f"depth_test_{n}" for n in range(3)])
+
+
+def test_stamps_below_folders_whose_names_say_more_than_the_eye(tmp_path: Path) -> None:
+    """The stamp is in the name, whatever the folder's part of the frame's; pairs may be skewed."""
+    write(
+        tmp_path / "image",
+        lambda n: f"stereo_left/{EPOCH + n * 50_000_000}",
+        lambda n: f"stereo_right/{EPOCH + n * 50_000_000 + 700_000}",
+    )
+    source = open_source(tmp_path)
+    assert_pairs(tmp_path, [f"stereo_{EPOCH + n * 50_000_000}" for n in range(3)])
+    assert [source.stamp(n).ns for n in range(3)] == [EPOCH + n * 50_000_000 for n in range(3)]
+    assert source.stamp(0).source == "file name"
+
+
+def test_stamps_of_two_sequences_are_not_paired_across_them(tmp_path: Path) -> None:
+    for number, stamp in enumerate((EPOCH, EPOCH + 1_000_000)):
+        for eye, skew in (("left", 0), ("right", 700_000)):
+            image = picture(number, int(eye == "right"))
+            save(tmp_path / f"{'ab'[number]}_{eye}" / f"{stamp + skew}.png", image)
+    assert_pairs(tmp_path, [f"a_{EPOCH}", f"b_{EPOCH + 1_000_000}"])
+
+
 @pytest.mark.parametrize("stem", ["r", "l_1", "scan_r_1"])
 def test_a_small_letter_without_its_partner_is_no_mark(stem: str, tmp_path: Path) -> None:
     save(tmp_path / f"{stem}.png", np.hstack([picture(0, 0), picture(0, 1)]))
@@ -358,3 +404,23 @@ def test_topics_of_drivers(name: str) -> None:
         right,
     )
     assert is_rectified(left) is rectified
+
+
+def test_of_two_marks_in_a_topic_the_last_that_will_do_tells_the_eye() -> None:
+    """A machine's name holds left or right too: another machine's eye is never the partner."""
+    left, right = "/right_boom/stereo/left/image", "/right_boom/stereo/right/image"
+    assert choose_topics((left, right), None, "bag") == (left, right)
+    assert choose_topics(("/a/left/left_image", "/a/right/right_image"), None, "bag") == (
+        "/a/left/left_image",
+        "/a/right/right_image",
+    )
+    arms = [f"/{arm}_arm/cam/{eye}/image" for arm in ("left", "right") for eye in ("left", "right")]
+    with pytest.raises(SourceError, match="has 2 pairs") as caught:
+        choose_topics(arms, None, "bag")
+    for arm in (arms[:2], arms[2:]):
+        assert f"--left-topic {arm[0]} --right-topic {arm[1]}" in str(caught.value)
+
+
+def test_small_letters_tell_the_eyes_of_topics() -> None:
+    topics = ("/cam_l/image_raw", "/cam_r/image_raw")
+    assert choose_topics(topics, None, "bag") == topics

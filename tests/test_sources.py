@@ -400,6 +400,7 @@ def test_odd_width_side_by_side(tmp_path: Path) -> None:
         ([], r"holds no stereo images that are known \(0 entries\)"),
         (["notes.txt"], r"1 entries.*it holds notes\.txt: name a recording file itself"),
         (["ride.svo"], r"it holds ride\.svo"),
+        (["1/0.png", "2/0.png"], r"say which eye is which: --left FOLDER --right FOLDER"),
         (["left0.png", "left1.png"], r"images of one eye only, such as left0\.png"),
         (["left0.png", "right1.png"], r"1 left and 1 right images, none of which belong together"),
         (

@@ -375,7 +375,8 @@ def test_what_is_no_bag(suffix: str, content: bytes, tmp_path: Path) -> None:
 def test_bag_without_images(tmp_path: Path) -> None:
     cameras = [camera(topic) for topic in TOPICS]
     with pytest.raises(
-        SourceError, match=r"has 0 pairs of left and right image topics.*image topics: none"
+        SourceError,
+        match=r"holds no topic of images; its topics: \S+ \(sensor_msgs/msg/CameraInfo\),",
     ):
         open_source(write_bag(tmp_path / "bag", "mcap", [], cameras))
 

@@ -13,8 +13,9 @@ from recordings import access_units, write_video
 
 from stereo_ore.errors import FrameError, SourceError
 from stereo_ore.io.recordings import open_source, open_two_files
-from stereo_ore.io.recordings.container import Container, read_container
+from stereo_ore.io.recordings.container import LAYERS, Container, read_container
 from stereo_ore.io.recordings.frame_packing import packing_of
+from stereo_ore.io.recordings.images import check_packing
 
 av = pytest.importorskip("av", reason="the extra [svo] is not installed")
 
@@ -158,6 +159,19 @@ def test_frame_packing_as_x264_writes_it(tmp_path: Path) -> None:
     with pytest.raises(SourceError, match="over and under"):
         open_source(path)
     assert packing_of(access_units(both(1))[0]) is None
+
+
+@pytest.mark.parametrize("box", [b"vexu", b"lhvC"])
+def test_a_spatial_video_is_never_halved(box: bytes, tmp_path: Path) -> None:
+    """iPhones and headsets keep the second eye in a layer of HEVC that decoders pass over."""
+    path = write_video(tmp_path / "x.mp4", both(2))
+    data = path.read_bytes()
+    assert data.count(b"btrt") == 1, "a box of the sample entry, to be called otherwise"
+    path.write_bytes(data.replace(b"btrt", box))
+    packing = read_container(path).packing
+    assert packing == LAYERS
+    with pytest.raises(FrameError, match=r"an eye a layer \(a spatial video, MV-HEVC\)"):
+        check_packing(packing, path)
 
 
 # --- tracks and two videos

@@ -33,11 +33,15 @@ def load_array(path: Path, error: type[StereoOreError]) -> _Array:
         return _array(file, path.stat().st_size, path, error)
 
 
-def load_arrays(path: Path, error: type[StereoOreError]) -> dict[str, _Array]:
-    """The arrays of an NPZ file by name; `error` for anything that is none."""
+def load_arrays(
+    path: Path, error: type[StereoOreError], most_bytes: int = MAX_UNPACKED_BYTES
+) -> dict[str, _Array]:
+    """The arrays of an NPZ file by name; `error` for anything that is none, or unpacks to more than
+    `most_bytes`.
+    """
     with _known_faults(path, error, "NPZ"), zipfile.ZipFile(path) as archive:
         entries = archive.infolist()
-        _require(sum(entry.file_size for entry in entries), MAX_UNPACKED_BYTES, path, error)
+        _require(sum(entry.file_size for entry in entries), most_bytes, path, error)
         arrays = {}
         for entry in entries:
             with archive.open(entry) as file:

@@ -6,19 +6,26 @@ from pathlib import Path
 
 from stereo_ore.errors import CalibrationError
 from stereo_ore.io.calibration import (
+    basalt,
     calibrating,
     camera_array,
     colmap,
     depthai,
+    euroc,
     kalibr,
+    kitti,
+    matlab,
     middlebury,
     mrcal,
+    named,
     native,
     opencv,
     orbslam,
     pycamcalib,
     ros,
     simplestereo,
+    stella,
+    vins,
     zed,
 )
 from stereo_ore.io.calibration.formats import Format, Hints, Projection, read_file
@@ -32,6 +39,8 @@ CALIBRATION_FORMATS: dict[str, Format] = {
     "native": native,
     "zed": zed,
     "orbslam": orbslam,
+    "vins": vins,
+    "stella": stella,
     "opencv": opencv,
     "ros": ros,
     "kalibr": kalibr,
@@ -43,6 +52,11 @@ CALIBRATION_FORMATS: dict[str, Format] = {
     "calibrating": calibrating,
     "camera_array": camera_array,
     "colmap": colmap,
+    "euroc": euroc,
+    "basalt": basalt,
+    "kitti": kitti,
+    "matlab": matlab,
+    "named": named,
 }
 """Asked in this order; a new format is a module and a line."""
 
@@ -89,5 +103,7 @@ def load(
         if reader.recognises(text):
             return reader.read(path, text, hints)
     raise CalibrationError(
-        f"is in no known calibration format ({', '.join(CALIBRATION_FORMATS)})", file=path
+        f"is in no known calibration format ({', '.join(CALIBRATION_FORMATS)})",
+        file=path,
+        remedy="docs/calibration.md names the files and tools; the native YAML can be typed in",
     )

@@ -19,6 +19,7 @@ from stereo_ore.io.calibration.formats import (
     one_size,
     raw_only,
     tell_unread,
+    two_eyes,
     without_tail,
 )
 from stereo_ore.io.calibration.geometry import from_vector, make_calibration
@@ -58,17 +59,7 @@ def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
     """
     cameras = _cameras(path, text)
     raw_only(path, hints)
-    if hints.eyes is None and len(cameras) != 2:
-        remedy = "Say which are left and right with --eyes L,R"
-        raise CalibrationError(
-            f"holds the cameras {', '.join(map(str, cameras))}", file=path, remedy=remedy
-        )
-    left, right = hints.eyes or tuple(cameras)
-    for index in (left, right):
-        if index not in cameras:
-            raise CalibrationError(
-                f"has no camera {index}, only {', '.join(map(str, cameras))}", file=path
-            )
+    left, right = two_eyes(path, cameras, hints)
     T = _pose(path, right, cameras[right]) @ inverse(_pose(path, left, cameras[left]))
     return make_calibration(
         path,

@@ -8,7 +8,7 @@ import json
 import logging
 import re
 import zlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Protocol
@@ -17,7 +17,9 @@ import numpy as np
 
 from stereo_ore.errors import CalibrationError
 from stereo_ore.io.calibration.geometry import COEFFICIENTS, Images, other_units
+from stereo_ore.io.npz_io import load_arrays
 from stereo_ore.io.yaml_io import MAX_BYTES, decode_text, read_text
+from stereo_ore.transforms import rotation_fault
 from stereo_ore.types import F64, StereoCalibration
 
 _log = logging.getLogger(__name__)
@@ -78,16 +80,25 @@ class Format(Protocol):
 SIZE_REMEDY = "Give it with calibrate import --size WxH"
 
 
+OTHER_FILE = "a calibration as text (YAML, JSON or XML)"
+_ZIP = b"PK\x03\x04"
 _MAGIC = {
     b"\x89HDF\r\n\x1a\n": "an HDF5 file",
-    b"PK\x03\x04": "a zip archive (an .npz?)",
+    _ZIP: "a zip archive",
+    b"MATLAB": "a MATLAB file",
     b"\x93NUMPY": "a NumPy array",
     b"\x80": "a Python pickle, which is never loaded",
 }
+_REMEDIES = {
+    b"MATLAB": "Write it as JSON in MATLAB: writelines(jsonencode(toStruct(stereoParams)),"
+    " 'stereo.json')",
+}
+_TAR_MAGIC = slice(257, 262), b"ustar"
 
 
 def read_file(path: Path) -> str:
-    """The text of a calibration file, also of one that is compressed with gzip.
+    """The text of a calibration file, also of one that is packed with gzip; of an NPZ its arrays as
+    JSON.
 
     Raises
     ------
@@ -100,20 +111,42 @@ def read_file(path: Path) -> str:
             if head.startswith(b"\x1f\x8b"):
                 file.seek(0)
                 with gzip.open(file) as unpacked:
-                    return decode_text(unpacked.read(MAX_BYTES + 1), path, CalibrationError)
+                    return _unpacked(unpacked.read(MAX_BYTES + 1), path)
     except (OSError, EOFError, zlib.error, ValueError) as fault:
         if isinstance(fault, FileNotFoundError) or not path.is_file():
             return read_text(path, CalibrationError)
         raise CalibrationError(f"is no whole gzip file: {fault}", file=path) from None
+    if head.startswith(_ZIP) and path.suffix.lower() == ".npz":
+        return _arrays_as_json(path)
     for magic, kind in _MAGIC.items():
         if head.startswith(magic):
             beside = ", ".join(
                 file.name
                 for file in sorted(path.parent.glob(f"{path.stem}_TransformationMatrix.json"))
             )
-            remedy = f"Name {beside or 'a calibration as text (YAML, JSON or XML)'} instead"
+            remedy = _REMEDIES.get(magic) or f"Name {beside or OTHER_FILE} instead"
             raise CalibrationError(f"is {kind}, not a text file", file=path, remedy=remedy)
     return read_text(path, CalibrationError)
+
+
+def _unpacked(data: bytes, path: Path) -> str:
+    """The text of what was compressed."""
+    place, magic = _TAR_MAGIC
+    if data[place] == magic:
+        remedy = "Unpack it (tar xf) and name a file in it, such as camera_calibration's left.yaml"
+        raise CalibrationError("is an archive of files", file=path, remedy=remedy)
+    return decode_text(data, path, CalibrationError)
+
+
+def _arrays_as_json(path: Path) -> str:
+    if path.stat().st_size > MAX_BYTES:
+        raise CalibrationError(f"has more than {MAX_BYTES:,} bytes; no more are read", file=path)
+    arrays = {
+        name: array.tolist()
+        for name, array in load_arrays(path, CalibrationError, MAX_BYTES).items()
+        if array.dtype.kind in "iufb"
+    }
+    return json.dumps(arrays)
 
 
 def size_of(path: Path, in_file: Sequence[Any] | None, hints: Hints) -> tuple[int, int]:
@@ -179,6 +212,31 @@ def numbers(path: Path, key: str, values: Any, count: int | None = None) -> F64:
     if count is not None and len(array) != count:
         raise CalibrationError(f"must have {count} numbers, not {len(array)}", file=path, key=key)
     return array
+
+
+def rigid_transform(path: Path, key: str, value: Any) -> F64:
+    """A (4, 4) transform from its 16 numbers."""
+    T = numbers(path, key, value, 16).reshape(4, 4)
+    if fault := rotation_fault(T[:3, :3]):
+        raise CalibrationError(f"the rotation {fault}", file=path, key=key)
+    if not np.array_equal(T[3], (0, 0, 0, 1)):
+        raise CalibrationError(
+            f"the last row must be [0, 0, 0, 1], not {T[3].tolist()}", file=path, key=key
+        )
+    return T
+
+
+def two_eyes(path: Path, present: Collection[int], hints: Hints) -> tuple[int, int]:
+    """Numbers of the left and the right camera: those that the user gave, else the only two."""
+    listing = ", ".join(map(str, sorted(present))) or "none"
+    if hints.eyes is None and len(present) != 2:
+        remedy = "Say which are left and right with --eyes L,R"
+        raise CalibrationError(f"holds the cameras {listing}", file=path, remedy=remedy)
+    left, right = hints.eyes or sorted(present)
+    for index in (left, right):
+        if index not in present:
+            raise CalibrationError(f"has no camera {index}, only {listing}", file=path)
+    return left, right
 
 
 def other_eye(path: Path, pairs: Sequence[tuple[str, str]]) -> tuple[Path, Path]:

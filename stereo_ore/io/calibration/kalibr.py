@@ -13,10 +13,16 @@ import numpy as np
 from stereo_ore.config.validation import nearest_word
 from stereo_ore.errors import CalibrationError
 from stereo_ore.io.calibration.file_storage import plain_yaml
-from stereo_ore.io.calibration.formats import Hints, numbers, size_of, tell_unread
+from stereo_ore.io.calibration.formats import (
+    Hints,
+    numbers,
+    rigid_transform,
+    size_of,
+    tell_unread,
+)
 from stereo_ore.io.calibration.geometry import make_calibration
 from stereo_ore.io.yaml_io import parse_yaml
-from stereo_ore.transforms import inverse, rotation_fault
+from stereo_ore.transforms import inverse
 from stereo_ore.types import F64, CameraModel, StereoCalibration
 
 AGREE = 1e-3
@@ -135,27 +141,16 @@ def _from_imu(path: Path, name: str, camera: dict[str, Any]) -> F64 | None:
     """``T_camera_imu`` from T_cam_imu or, as OpenVINS writes it, its inverse T_imu_cam."""
     for key in ("T_cam_imu", "T_imu_cam"):
         if key in camera:
-            T = _transform(path, f"{name}.{key}", camera[key])
+            T = rigid_transform(path, f"{name}.{key}", camera[key])
             return T if key == "T_cam_imu" else inverse(T)
     return None
-
-
-def _transform(path: Path, key: str, value: Any) -> F64:
-    T = numbers(path, key, value, 16).reshape(4, 4)
-    if fault := rotation_fault(T[:3, :3]):
-        raise CalibrationError(f"the rotation {fault}", file=path, key=key)
-    if not np.array_equal(T[3], (0, 0, 0, 1)):
-        raise CalibrationError(
-            f"the last row must be [0, 0, 0, 1], not {T[3].tolist()}", file=path, key=key
-        )
-    return T
 
 
 def _to_first(path: Path, chain: dict[int, dict[str, Any]], index: int) -> F64:
     """``T_camera_cam0``, the product of the links."""
     T = np.eye(4)
     for link in range(1, index + 1):
-        T = _transform(path, f"cam{link}.T_cn_cnm1", chain[link]["T_cn_cnm1"]) @ T
+        T = rigid_transform(path, f"cam{link}.T_cn_cnm1", chain[link]["T_cn_cnm1"]) @ T
     return T
 
 

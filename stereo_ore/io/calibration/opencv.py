@@ -66,10 +66,13 @@ def combine_storages(path: Path, entries: dict[str, Any], hints: Hints) -> Stere
     if not {"K1", "R"} <= found.keys() and any(word in path.name for word in _HALVES[1]):
         other = next(part for part in other_eye(path, _HALVES) if part != path)
         if other.exists():
-            rest, more, more_fisheye = sort_entries(other, parse_storage(other, read_file(other)))
+            half = parse_storage(other, read_file(other))
+            rest, more, more_fisheye = sort_entries(other, half)
             found, unread, fisheye = rest | found, unread | more, fisheye or more_fisheye
+            entries = half | entries
     if hints.images == "rectified":
         return _rectified(path, found, hints)
+    found = _with_pose(path, found, entries)
     K1, K2 = (numbers(path, key, _entry(path, found, key), 9).reshape(3, 3) for key in ("K1", "K2"))
     rotation, shift = _entry(path, found, "R"), numbers(path, "T", _entry(path, found, "T"), 3)
     projection = _projection(path, unread, hints, found, fisheye)
@@ -87,6 +90,24 @@ def combine_storages(path: Path, entries: dict[str, Any], hints: Hints) -> Stere
         images="raw",
         camera=path.stem,
     )
+
+
+def _with_pose(path: Path, found: dict[str, F64], entries: dict[str, Any]) -> dict[str, F64]:
+    """The entries with R and T; where there are none, of the rectification R1, P1, R2, P2, as
+    MultiSense keeps it: R = R2ᵀ·R1, T = R2ᵀ·(P2[0,3] − P1[0,3])/f along x.
+    """
+    if (
+        found.keys() & {"R", "T"}
+        or not {"R1", "R2"} <= entries.keys()
+        or not {"P1", "P2"} <= found.keys()
+    ):
+        return found
+    R1, R2 = (numbers(path, key, entries[key], 9).reshape(3, 3) for key in ("R1", "R2"))
+    P1, P2 = (numbers(path, key, found[key], 12) for key in ("P1", "P2"))
+    if not (P1[0] and P2[0]):
+        raise CalibrationError("has a focal length of zero", file=path, key="P1")
+    shift = np.array([P2[3] / P2[0] - P1[3] / P1[0], 0.0, 0.0])
+    return found | {"R": (R2.T @ R1).ravel(), "T": R2.T @ shift}
 
 
 def _rectified(path: Path, found: dict[str, F64], hints: Hints) -> StereoCalibration:

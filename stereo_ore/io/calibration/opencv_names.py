@@ -73,7 +73,7 @@ def sort_entries(
     for key, value in entries.items():
         name = named[key]
         if name is None:
-            unread |= {} if _KNOWN.fullmatch(_plain(key)) else {key: value}
+            unread |= {} if _KNOWN.fullmatch(plain_name(key)) else {key: value}
             continue
         word, mark = name
         eye = "2" if mark == "1" and counts_from_0 else MARKS.get(mark, "")
@@ -87,17 +87,18 @@ def sort_entries(
     return found, unread, fisheye
 
 
-def _plain(key: str) -> str:
+def plain_name(key: str) -> str:
+    """A name in small letters, without separators."""
     return re.sub(r"[^a-z0-9]", "", key.lower())
 
 
 def _name(key: str) -> tuple[str, str] | None:
     """Our name of an entry and the mark of its eye."""
-    plain = _plain(key)
+    plain = plain_name(key)
     for name, words in SHARED_NAMES.items():
         if plain in words.split():
             return name, ""
-    match = _EYE.fullmatch(_plain(_FISHEYE.sub("", key)))
+    match = _EYE.fullmatch(plain_name(_FISHEYE.sub("", key)))
     if match is None or bool(match[1]) == bool(match[3]):
         return None
     return (

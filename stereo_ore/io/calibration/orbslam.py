@@ -1,5 +1,5 @@
 """Settings of ORB-SLAM2 (LEFT.K, LEFT.D, LEFT.R, LEFT.P …) and ORB-SLAM3 (Camera1.fx …
-Stereo.T_c1_c2).
+Stereo.T_c1_c2); of rectified images Camera1.fx … Stereo.b [m], in older ones Camera.fx … Camera.bf.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _log = logging.getLogger(__name__)
 _KNOWN = re.compile(
     r"(LEFT|RIGHT)\.(K|D|R|P|width|height)|Camera[12]\..*|Camera\.(type|fx|fy|cx|cy|bf|bFishEye|width|height|newWidth|"
     r"newHeight|fps|RGB|imageScale|nFeatures)|(ORBextractor|Viewer|IMU|Stereo|System|Atlas|loopClosing)\..*|"
-    r"ThDepth|DepthMapFactor|File\..*"
+    r"ThDepth|DepthMapFactor|File\..*|Camera\.[kp][1-6]"
 )
 """Entries that are read, or that mean nothing for the recorded images."""
 
@@ -40,10 +40,15 @@ _COEFFICIENTS = {
     "KannalaBrandt8": ("k1", "k2", "k3", "k4"),
 }
 
+_OF_EYE = {
+    name: tuple(f"{name}.{key}" for key in ("fx", "fy", "cx", "cy", *_COEFFICIENTS["PinHole"]))
+    for name in ("Camera", "Camera1")
+}
+
 
 def recognises(text: str) -> bool:
     """Whether the text has the dotted names of either version."""
-    return bool(re.search(r"^(LEFT\.K|Camera1\.fx):", text, re.MULTILINE))
+    return bool(re.search(r"^(LEFT\.K|Camera1\.fx|Camera\.bf):", text, re.MULTILINE))
 
 
 def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
@@ -56,7 +61,36 @@ def read(path: Path, text: str, hints: Hints) -> StereoCalibration:
     """
     data = parse_storage(path, text)
     tell_unread(path, {key: value for key, value in data.items() if not _KNOWN.fullmatch(key)})
-    return _version_2(path, data, hints) if "LEFT.K" in data else _version_3(path, data, hints)
+    if "LEFT.K" in data:
+        return _version_2(path, data, hints)
+    if data.get("Camera.type") == "Rectified" or "Camera1.fx" not in data:
+        return _rectified(path, data, hints)
+    return _version_3(path, data, hints)
+
+
+def _rectified(path: Path, data: dict[str, Any], hints: Hints) -> StereoCalibration:
+    """One camera for both eyes, of images that were rectified; distortion would say otherwise."""
+    if hints.images == "raw":
+        raise CalibrationError("describes rectified images, not raw ones", file=path)
+    name = "Camera1" if "Camera1.fx" in data else "Camera"
+    eye = _camera(path, {k: v for k, v in data.items() if k in _OF_EYE[name]}, name, "PinHole")
+    key = "Stereo.b" if "Stereo.b" in data else "Camera.bf"
+    shift = float(numbers(path, key, data.get(key), 1)[0])
+    baseline_m = shift if key == "Stereo.b" else shift / eye.focal_px[0]
+    return make_calibration(
+        path,
+        image_size=size_of(path, _size(data), hints),
+        left=eye,
+        right=eye,
+        translation_m=(-baseline_m, 0.0, 0.0),
+        images="rectified",
+        camera=path.stem,
+    )
+
+
+def _size(data: dict[str, Any]) -> list[Any] | None:
+    keys = ["Camera.width", "Camera.height"]
+    return [data[key] for key in keys] if set(keys) <= data.keys() else None
 
 
 def _version_2(path: Path, data: dict[str, Any], hints: Hints) -> StereoCalibration:
@@ -86,17 +120,12 @@ def _version_3(path: Path, data: dict[str, Any], hints: Hints) -> StereoCalibrat
     if fault := rotation_fault(T_left_right[:3, :3]):
         raise CalibrationError(f"the rotation {fault}", file=path, key="Stereo.T_c1_c2")
     T = inverse(T_left_right)
-    size = (
-        [data["Camera.width"], data["Camera.height"]]
-        if {"Camera.width", "Camera.height"} <= data.keys()
-        else None
-    )
     left, right = (_camera(path, data, name, kind) for name in ("Camera1", "Camera2"))
     if any(left.distortion) != any(right.distortion):
         _log.warning("%s: only one eye has distortion; the other is taken for an ideal lens", path)
     return make_calibration(
         path,
-        image_size=size_of(path, size, hints),
+        image_size=size_of(path, _size(data), hints),
         left=left,
         right=right,
         rotation=T[:3, :3],

@@ -46,7 +46,8 @@ _WINDOW = ("x_offset", "y_offset", "width", "height")
 def recognises(text: str) -> bool:
     """Whether the text has the entries of a camera_info."""
     return "distortion_model" in text and (
-        "projection_matrix" in text or "\nP:" in text or "\np:" in text
+        "projection_matrix" in text
+        or re.search(r"^[ \t]*\"?[Pp]\"?:", text, re.MULTILINE) is not None
     )
 
 

@@ -20,7 +20,8 @@ from stereo_ore.io.clouds.records import (
 )
 from stereo_ore.io.npz_io import load_array, load_arrays
 
-XYZ_NAMES = ("xyz", "points", "voxel_xyz")
+XYZ_NAMES = ("xyz", "points", "voxel_xyz", "positions", "vertices")
+"""Names of an array of points; ``positions`` are Open3D's. The only array of a file needs none."""
 
 
 def read_npy(path: Path) -> Records:
@@ -36,7 +37,8 @@ def read_npz(path: Path) -> Records:
 
 
 def _from_named(arrays: dict[str, npt.NDArray[Any]], path: Path) -> Records:
-    name = next((name for name in XYZ_NAMES if name in arrays), None)
+    known = XYZ_NAMES if len(arrays) > 1 else arrays
+    name = next((name for name in known if name in arrays), None)
     if name is None and not {"x", "y", "z"} <= set(arrays):
         wanted = f"x, y, z or one of {', '.join(XYZ_NAMES)}"
         raise CloudError(f"holds {', '.join(arrays) or 'nothing'}; {wanted} wanted", file=path)

@@ -76,13 +76,17 @@ def unnamed(values: npt.NDArray[Any]) -> Records:
 
 
 def upright(values: npt.NDArray[Any], path: Path) -> npt.NDArray[Any]:
-    """An array with a point a row; one with a point a column is turned.
+    """An array with a point a row; one with a point a column is turned, one with a point a pixel
+    (H, W, 3 or more) is read row by row.
 
     Raises
     ------
     CloudError
         When it may be either.
     """
+    if values.ndim == 3 and values.dtype.kind == "f" and 3 <= values.shape[2] <= len(COLUMNS):
+        _log.warning("%s: an image of points %s is read row by row", path, values.shape)
+        return values.reshape(-1, values.shape[2])
     if values.ndim != 2 or values.shape[0] not in (3, 4) or values.shape[1] <= 4:
         return values
     rows, columns = values.shape

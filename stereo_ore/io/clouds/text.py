@@ -71,9 +71,10 @@ def read(path: Path) -> Records:
         values, whole = upright(values, path), ()
     if layout.names is not None and len(layout.names) != values.shape[1]:
         raise CloudError(f"has {len(layout.names)} names for {values.shape[1]} columns", file=path)
-    names = layout.names or list(unnamed(values[:1]).dtype.names or ())
-    if len(set(names)) < len(names) or "" in names:
-        raise CloudError("has a column name twice, or a column without a name", file=path)
+    names = layout.names or _unnamed(values, path)
+    names = [name or f"column_{i}" for i, name in enumerate(names)]  # pandas names no index
+    if len(set(names)) < len(names):
+        raise CloudError("has a column name twice", file=path)
     columns = Columns()
     for i, name in enumerate(names):
         is_whole = i < len(whole) and whole[i] and name not in ("x", "y", "z")
@@ -87,6 +88,16 @@ def read(path: Path) -> Records:
             axis: columns[axis].astype(np.float64) for axis in "xyz"
         }  # one type for the three
     return require_xyz(from_columns(as_bytes(columns)), path)
+
+
+def _unnamed(values: npt.NDArray[np.float64], path: Path) -> list[str]:
+    """Names of columns that have none: x, y, z first, or behind one that counts the rows."""
+    names = list(unnamed(values[:1]).dtype.names or ())
+    counts = len(values) > MOST_POINTS_IN_ROWS and values.shape[1] > 3
+    if not (counts and values[0, 0] in (0, 1) and (np.diff(values[:, 0]) == 1).all()):
+        return names
+    _log.warning("%s: the first column counts the rows; x, y, z are the next three", path)
+    return ["index", *names[:3], *(f"column_{i}" for i in range(4, len(names)))]
 
 
 def _lines(path: Path) -> Iterator[str]:

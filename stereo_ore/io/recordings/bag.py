@@ -36,6 +36,9 @@ DEVICE_TIME = re.compile(r"(?:^|;)timestamp=(\d+(?:\.\d+)?)(?:;|$)")
 """Time at which RealSense's camera took an image [ms], in the text that its recorder writes beside
 it."""
 
+MOST_WORDS = 1000
+"""Characters of a message that lists topics."""
+
 
 @dataclass(frozen=True)
 class BagOptions:
@@ -285,6 +288,13 @@ def open_bag(path: Path, options: BagOptions) -> BagPairs:
             f"holds no image that can be read here: {unread}",
             file=path,
             remedy="Record it with ROS",
+        )
+    if not found:
+        others = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(reader.bag.types.items()))
+        raise SourceError(
+            f"holds no topic of images; its topics: {others or 'none'}"[:MOST_WORDS],
+            file=path,
+            remedy=f"Known: {', '.join(ros_messages.IMAGE_TYPES[:2])} and Foxglove's images",
         )
     topics = choose_topics(found, options.topics, path)
     left, right = reader.entries(topics)

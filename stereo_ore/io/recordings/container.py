@@ -29,6 +29,11 @@ MATROSKA_MODES = {
 """Matroska's StereoMode."""
 MP4_MODES = {1: "over and under, left eye on top", 2: "left-right", 4: "right-left"}
 """Stereo mode of the box ``st3d`` (Spherical Video V2)."""
+LAYERS = "an eye a layer (a spatial video, MV-HEVC), of which decoders give one"
+_LAYERED = (b"lhvC", b"vexu")
+"""Boxes of a sample entry whose pictures have layers: their parameter sets, and Apple's words about
+the eyes.
+"""
 MATROSKA_EPOCH_NS = int(datetime(2001, 1, 1, tzinfo=UTC).timestamp()) * 10**9
 MP4_EPOCH_S = -int(datetime(1904, 1, 1, tzinfo=UTC).timestamp())
 MOST_PARTS = 10_000
@@ -155,7 +160,9 @@ def _mp4(file: BinaryIO) -> Container:
         elif kind == b"stsd":
             for _, first, last in _boxes(file, start + 8, end):
                 for name, inner, stop in _boxes(file, first + SAMPLE_ENTRY_BYTES, last):
-                    if name == b"st3d":
+                    if name in _LAYERED:
+                        packing = LAYERS
+                    elif name == b"st3d":
                         packing = packing or MP4_MODES.get(_part(file, inner, stop)[4])
     return Container(packing, tracks or 1, began_ns)
 

@@ -23,7 +23,14 @@ from stereo_ore.io.recordings.images import (
     read_both,
     to_8_bit,
 )
-from stereo_ore.io.recordings.layouts import Eyes, Files, Listing, find_eyes, list_files
+from stereo_ore.io.recordings.layouts import (
+    Eyes,
+    Files,
+    Listing,
+    find_eyes,
+    list_files,
+    without_companions,
+)
 from stereo_ore.io.recordings.names import frame_names, name_stamp, natural_key, split_name
 from stereo_ore.io.recordings.pairing import pair_by_stamp
 from stereo_ore.io.recordings.side_by_side import SideBySideImages
@@ -137,7 +144,8 @@ def open_folder(path: Path, max_skew_ms: float = 5.0) -> ImagePairs | SideBySide
         When it has none of them, saying what is in it.
     """
     listing = list_files(path, IMAGE_SUFFIXES)
-    eyes = find_eyes(listing, path.resolve().name)
+    name = path.resolve().name
+    eyes = without_companions(find_eyes(listing, name), name)
     images = listing.get("", [])
     of_both = bool(images) and all(file.suffix.lower() in STEREO_SUFFIXES for file in images)
     if eyes.left and eyes.right and not of_both:
@@ -146,7 +154,7 @@ def open_folder(path: Path, max_skew_ms: float = 5.0) -> ImagePairs | SideBySide
         images = sorted(images, key=lambda file: natural_key(file.stem))
         return SideBySideImages(path, frame_names([file.stem for file in images]), tuple(images))
     if not any(listing.values()):
-        videos = find_eyes(list_files(path, VIDEO_SUFFIXES), path.resolve().name)
+        videos = find_eyes(list_files(path, VIDEO_SUFFIXES), name)
         if videos.left and videos.right:
             return open_video_pairs(path, _both(path, videos))
     if {"left", "right"} <= {child.name.lower() for child in path.iterdir() if child.is_dir()}:
@@ -187,14 +195,31 @@ def _pairs_by_stamp(left: Files, right: Files, max_skew_ms: float) -> list[tuple
     """Keys of the left and right image of each frame, where all are stamps; of a lost one, that of
     its partner.
     """
-    stamps = [{key: name_stamp(key) for key in files} for files in (left, right)]
-    if not all(each and None not in each.values() for each in stamps):
-        return []
-    one, other = (
-        sorted((ns, key) for key, ns in each.items() if ns is not None) for each in stamps
-    )
-    pairs = pair_by_stamp([ns for ns, _ in one], [ns for ns, _ in other], round(max_skew_ms * 1e6))
-    return [("" if i is None else one[i][1], "" if j is None else other[j][1]) for i, j in pairs]
+    ours, theirs = _stamped(left), _stamped(right)
+    found = list[tuple[str, str]]()
+    for before in ours if ours.keys() == theirs.keys() else ():
+        one, other = ours[before], theirs[before]
+        pairs = pair_by_stamp(
+            [ns for ns, _ in one], [ns for ns, _ in other], round(max_skew_ms * 1e6)
+        )
+        found += [
+            ("" if i is None else one[i][1], "" if j is None else other[j][1]) for i, j in pairs
+        ]
+    return found
+
+
+def _stamped(files: Files) -> dict[str, list[tuple[int, str]]]:
+    """Stamps [ns] and keys of files, in order, by what stands before the stamps (the name of their
+    folder); empty where one has none.
+    """
+    found = dict[str, list[tuple[int, str]]]()
+    for key, file in files.items():
+        stamps = ((name, name_stamp(name)) for name in (key, split_name(file.stem)[1]))
+        name, ns = next((each for each in stamps if each[1] is not None), ("", None))
+        if ns is None:
+            return {}
+        found.setdefault(key.removesuffix(name), []).append((ns, key))
+    return {before: sorted(found[before]) for before in sorted(found)}
 
 
 def _both(path: Path, eyes: Eyes) -> dict[str, tuple[Path, Path]]:
@@ -229,7 +254,10 @@ def _unknown_layout(path: Path, listing: Listing, eyes: Eyes) -> SourceError:
     images = {file for files in listing.values() for file in files}
     files = [child.name for child in children if child.is_file() and child not in images]
     hint = f"; it holds {files[0]}: name a recording file itself" if files else ""
-    expected = "Expected left/ and right/, left*.png and right*.png, or side-by-side images"
+    expected = (
+        "Expected left/ and right/, left*.png and right*.png, or side-by-side images; of other"
+        " names say which eye is which: --left FOLDER --right FOLDER"
+    )
     return SourceError(problem, file=path, remedy=expected + hint)
 
 

@@ -303,7 +303,7 @@ def check_packing(packing: str, path: Path) -> None:
             file=path,
             remedy=(
                 "Only pictures with both eyes beside each other are read; ffmpeg's filter stereo3d"
-                " makes them"
+                " makes them, or write each eye to a file of its own"
             ),
         )
 

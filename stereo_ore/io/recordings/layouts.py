@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 from collections.abc import Callable, Container, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from stereo_ore.errors import SourceError
@@ -30,6 +31,12 @@ STRUCTURE = frozenset(["data", "image", "images", "img", "cam", "camera", "mav0"
 )
 """Folders, and what is left of a folder's name without its mark, that say nothing about the
 frame."""
+_GOES_WITH = re.compile(
+    r"(?<![a-z])(?:depth|disp|disparity|seg|segmentation|mask|conf|confidence|occ|occlusions?|flow"
+    r"|normals?)(?![a-z])",
+    re.IGNORECASE,
+)
+"""Words in names of images that are no pictures but go with one."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +65,16 @@ LAYOUTS = (
     Layout("RealSense, in names", "infra1*", "infra2*"),
     Layout("RealSense, at the end of names", "*_infra1", "*_infra2"),
     Layout("RealSense Viewer", "*_Infrared_1", "*_Infrared_2"),
+    Layout("TartanAir V2", "image_lcam_front/*_lcam_front", "image_rcam_front/*_rcam_front"),
+    Layout("Virtual KITTI 2", "rgb/Camera_0/*", "rgb/Camera_1/*"),
+    Layout("Booster", "camera_00/im*", "camera_02/im*"),
+    Layout("Luxonis OAK, a folder a socket", "CAM_B/*", "CAM_C/*"),
+    Layout("Luxonis OAK, sockets in names", "CAM_B*", "CAM_C*"),
+    Layout("cam_0 and cam_1, a folder an eye", "cam_0/*", "cam_1/*"),
+    Layout("camera0 and camera1, a folder an eye", "camera0/*", "camera1/*"),
+    Layout("camera_0 and camera_1, a folder an eye", "camera_0/*", "camera_1/*"),
+    Layout("cam1 and cam2, a folder an eye", "cam1/*", "cam2/*"),
+    Layout("camera1 and camera2, a folder an eye", "camera1/*", "camera2/*"),
     Layout("cameras by number", "cam0_*", "cam1_*"),
     Layout("cameras by number, at the end of names", "*_cam0", "*_cam1"),
     Layout("Middlebury 2001, 2003", "im2", "im6"),
@@ -162,6 +179,34 @@ def _plain(folder: str) -> bool:
     return folder.split("/")[0].lower() in ("left", "right")
 
 
+def without_companions(eyes: Eyes, default_key: str) -> Eyes:
+    """The eyes without what only goes with a picture and whose name says so (``7_depth`` beside
+    ``7``): data sets keep depths, disparities, masks and the like among the pictures.
+    """
+    keys = eyes.left.keys() | eyes.right.keys()
+    if not _GOES_WITH.search("\n".join(keys)):
+        return eyes
+    words = {key: [word for word in re.split(r"[-_. ]+", key) if word] for key in keys}
+    names = {"_".join(each) for each in words.values()} | {default_key} & keys
+    others = set[str]()
+    for key, each in words.items():
+        kept = [word for word in each if not _GOES_WITH.fullmatch(word)]
+        if kept != each and ("_".join(kept) or default_key) in names:
+            others.add(key)
+    if others:
+        _log.warning(
+            "%d pairs are left out: by their names they only go with others, as depths or masks"
+            " do (%s)",
+            len(others),
+            min(others),
+        )
+    return replace(
+        eyes,
+        left={key: file for key, file in eyes.left.items() if key not in others},
+        right={key: file for key, file in eyes.right.items() if key not in others},
+    )
+
+
 # --- by folders
 
 
@@ -245,9 +290,8 @@ def _by_layout(listing: Listing, default_key: str) -> Eyes:
     )
     everything += "\n" + "\n".join(listing)
     for layout in LAYOUTS:
-        if (
-            layout.left.strip("*/") not in everything
-        ):  # a hundred thousand names need not be looked at one by one
+        if max(layout.left.split("*"), key=len).strip("/") not in everything:
+            # A hundred thousand names need not be looked at one by one.
             continue
         eyes = Eyes(layout=layout.name)
         for side, pattern in (("left", layout.left), ("right", layout.right)):

@@ -25,9 +25,10 @@ IMAGE_TYPES = (
         for prefix in FOXGLOVE
         for name in ("RawImage", "CompressedImage", "CompressedVideo")
     ),
+    "ffmpeg_image_transport_msgs/msg/FFMPEGPacket",
 )
 CAMERA_INFO = ("sensor_msgs/msg/CameraInfo", *(prefix + "CameraCalibration" for prefix in FOXGLOVE))
-VIDEO_FORMATS = ("h264", "h265", "hevc", "avc")
+VIDEO_FORMATS = ("h264", "h265", "hevc", "avc", "x264", "x265")
 
 _ENCODINGS: dict[str, tuple[str, int, int | None]] = {  # element type, channels, conversion to BGR
     "mono8": ("u1", 1, None),
@@ -41,18 +42,30 @@ _ENCODINGS: dict[str, tuple[str, int, int | None]] = {  # element type, channels
     "rgb16": ("u2", 3, cv2.COLOR_RGB2BGR),
     "bgra8": ("u1", 4, None),
     "8uc4": ("u1", 4, None),
+    "bgra16": ("u2", 4, None),
     "rgba8": ("u1", 4, cv2.COLOR_RGBA2BGR),
+    "rgba16": ("u2", 4, cv2.COLOR_RGBA2BGR),
     # ROS names a Bayer pattern by its first row, OpenCV by the pixels around (1, 1): the two meet
     # crosswise.
-    "bayer_rggb8": ("u1", 1, cv2.COLOR_BayerBG2BGR),
-    "bayer_bggr8": ("u1", 1, cv2.COLOR_BayerRG2BGR),
-    "bayer_gbrg8": ("u1", 1, cv2.COLOR_BayerGR2BGR),
-    "bayer_grbg8": ("u1", 1, cv2.COLOR_BayerGB2BGR),
+    **{
+        f"bayer_{pattern}{8 * size}": (f"u{size}", 1, conversion)
+        for pattern, conversion in (
+            ("rggb", cv2.COLOR_BayerBG2BGR),
+            ("bggr", cv2.COLOR_BayerRG2BGR),
+            ("gbrg", cv2.COLOR_BayerGR2BGR),
+            ("grbg", cv2.COLOR_BayerGB2BGR),
+        )
+        for size in (1, 2)
+    },
     "yuv422": ("u1", 2, cv2.COLOR_YUV2BGR_UYVY),
     "uyvy": ("u1", 2, cv2.COLOR_YUV2BGR_UYVY),
     "yuv422_yuy2": ("u1", 2, cv2.COLOR_YUV2BGR_YUY2),
     "yuyv": ("u1", 2, cv2.COLOR_YUV2BGR_YUY2),
+    "nv12": ("u1", 1, cv2.COLOR_YUV2BGR_NV12),
+    "nv21": ("u1", 1, cv2.COLOR_YUV2BGR_NV21),
 }
+_HALF_MORE = ("nv12", "nv21")
+"""Encodings whose colours stand in half as many rows again below the brightness."""
 
 
 def image(message: Any, path: Path, max_pixels: int = MAX_PIXELS) -> Image:
@@ -65,7 +78,11 @@ def image(message: Any, path: Path, max_pixels: int = MAX_PIXELS) -> Image:
         When the encoding is unknown or the data do not fit the size.
     """
     if hasattr(message, "format"):
-        return decode_image(bytes(message.data), path, max_pixels)
+        try:
+            return decode_image(bytes(message.data), path, max_pixels)
+        except FrameError as fault:
+            problem = f"{fault.problem} (its format is said to be {message.format!r:.60})"
+            raise FrameError(problem, code=fault.code, file=path, remedy=fault.remedy) from None
     known = _ENCODINGS.get(message.encoding.lower())
     if known is None:
         raise FrameError(
@@ -83,6 +100,7 @@ def image(message: Any, path: Path, max_pixels: int = MAX_PIXELS) -> Image:
 def _unpack(message: Any, kind: np.dtype[Any], channels: int, path: Path) -> Image:
     """(H, W) or (H, W, channels) array of an Image, row padding removed."""
     height, width, step = int(message.height), int(message.width), int(message.step)
+    height += height // 2 if message.encoding.lower() in _HALF_MORE else 0
     row = width * channels * kind.itemsize
     data = np.frombuffer(bytes(message.data), np.uint8)
     if height < 1 or width < 1 or step < row or len(data) < height * step:
@@ -100,8 +118,9 @@ def _unpack(message: Any, kind: np.dtype[Any], channels: int, path: Path) -> Ima
 
 
 def is_video(message: Any) -> bool:
-    """Whether an image message holds a part of a video: its format says so."""
-    return any(name in getattr(message, "format", "").lower() for name in VIDEO_FORMATS)
+    """Whether an image message holds a part of a video: its format or encoding says so."""
+    said = getattr(message, "format", "") or getattr(message, "encoding", "")
+    return any(name in said.lower() for name in VIDEO_FORMATS)
 
 
 def stamp_ns(message: Any) -> int:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from stereo_ore.io.recordings.names import name_stamp
+from stereo_ore.io.recordings.names import name_stamp, split_name
 from stereo_ore.types import StampSource
 
 TABLE = "data.csv"
@@ -22,11 +22,13 @@ class Stamp(NamedTuple):
 
 
 def file_stamp(name: str, files: Iterable[Path]) -> Stamp | None:
-    """The stamp of a frame of image files: its name's or else when the first of them was last
-    changed.
+    """The stamp of a frame of image files: its name's, that of the first one's name but for the
+    eye, or else when that was last changed.
     """
-    if (named := name_stamp(name)) is not None:
-        return Stamp(named, "file name")
+    files = list(files)
+    for each in (name, *(split_name(file.stem)[1] for file in files[:1])):
+        if (named := name_stamp(each)) is not None:
+            return Stamp(named, "file name")
     for file in files:
         try:
             return Stamp(file.stat().st_mtime_ns, "modification time")

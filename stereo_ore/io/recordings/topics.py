@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection
 from itertools import takewhile
 from pathlib import Path
@@ -10,7 +11,7 @@ from stereo_ore.errors import CalibrationError, SourceError
 from stereo_ore.io.recordings.names import split_name
 from stereo_ore.types import StereoCalibration
 
-_COMPRESSED, _DEPTH = "/compressed", "/compressedDepth"
+_TRANSPORTS, _DEPTH = ("/compressed", "/video", "/ffmpeg", "/zstd"), "/compressedDepth"
 NUMBERED: tuple[tuple[str, str], ...] = (
     ("infra1", "infra2"),
     ("infrared1", "infrared2"),
@@ -38,6 +39,9 @@ PREFERRED: tuple[tuple[str, str], ...] = (
 )
 """Drivers and the ends of their left eyes' topics, best first: of one camera that offers several
 pairs the first is taken. The images are the same, so that this is no guess."""
+
+
+_SMALL = re.compile(r"(?<![A-Za-z])[lr](?![A-Za-z])")
 
 
 def choose_topics(
@@ -113,17 +117,32 @@ def check_images(image_topic: str, calibration: StereoCalibration, file: Path) -
 
 
 def _pairs(topics: Collection[str]) -> list[tuple[str, str]]:
-    sides: dict[str, dict[tuple[str, ...], str]] = {"left": {}, "right": {}}
-    for topic in sorted(topics):
-        marks = [_split(part) for part in topic.split("/")]
-        side = next((side for side, _ in marks if side), None)
-        if side:
-            sides[side][tuple(key for _, key in marks)] = topic
-    return [
-        (topic, sides["right"][key])
-        for key, topic in sides["left"].items()
-        if key in sides["right"]
-    ]
+    """Topics that differ in left and right alone: in one of their parts, the last that will do
+    (``/left_arm/camera/right/image`` is a right eye), or else in all that tell an eye.
+    """
+    pairs = dict[str, str]()
+    longest = max((topic.count("/") for topic in topics), default=0)
+    for place in (*range(-1, -2 - longest, -1), None):
+        sides: dict[str, dict[tuple[str, ...], str]] = {"left": {}, "right": {}}
+        for topic in sorted(set(topics) - pairs.keys() - set(pairs.values())):
+            side, key = _eye_of(topic.split("/"), place)
+            if side:
+                sides[side][key] = topic
+        both = sides["left"].keys() & sides["right"].keys()
+        pairs |= {sides["left"][key]: sides["right"][key] for key in both}
+    return sorted(pairs.items())
+
+
+def _eye_of(parts: list[str], place: int | None) -> tuple[str | None, tuple[str, ...]]:
+    """The eye that the part of a topic at a `place` tells (None: all parts, which must agree), and
+    the topic without it.
+    """
+    whole = range(-len(parts), 0)
+    used = whole if place is None else {place} & set(whole)
+    split = {i: _split(parts[i]) for i in used}
+    sides = {side for side, _ in split.values() if side}
+    key = tuple(split[i][1] if i in split else parts[i] for i in whole)
+    return (sides.pop() if len(sides) == 1 else None), key
 
 
 def _preferred(pairs: list[tuple[str, str]]) -> list[tuple[str, str]]:
@@ -146,10 +165,13 @@ def _split(part: str) -> tuple[str | None, str]:
     for pair in NUMBERED:
         if part.lower() in pair:
             return ("left", "right")[pair.index(part.lower())], pair[0]
-    return split_name(part)
+    side, key = split_name(part)
+    if side is None and (small := _SMALL.search(part)):
+        return ("left" if small[0] == "l" else "right"), part[: small.start()] + part[small.end() :]
+    return side, key
 
 
 def _plain(topic: str) -> str:
-    for suffix in (_COMPRESSED, "/video"):
+    for suffix in _TRANSPORTS:
         topic = topic.removesuffix(suffix)
     return topic
