@@ -27,8 +27,9 @@ _LEVELS, _NARROW, _WIDE = 3, 3, 15
 _SIGMAS, _FLAT, _MOST = 1.5, 0.04, 0.5
 """What is within so many standard deviations of a height and so many openings of a level lies on
 it, at most within this share of its height."""
-_CELL = 0.4
-"""Edge of the cells that a level is seen in [widths of a bar]."""
+_CELL, _MOST_CELLS = 0.4, 500
+"""Edge of the cells that a level is seen in [widths of a bar], unless that were more cells than
+`_MOST_CELLS` in a row."""
 _LONG, _WIDEST, _LEAST_CELLS = 1.5, 0.6, 1.5
 """Least length and greatest width of a bar's top [openings], and its least width [cells]."""
 _FAR, _UNEVEN, _UNLIKE = 3.0, 0.15, 1.8
@@ -132,14 +133,12 @@ class _View:
 
     def patches(self, level: _Level, bars: Bars) -> Iterator[_Patch]:
         """A level as seen from above, its rows along the bars, and then across them."""
-        cell = _CELL * bars.width_m
         offset = self.plane.offset + level.height_m
-        on_plane = level.seen - level.height_m * self.plane.normal
-        ends = [(on_plane @ axis).min() for axis in (bars.across, bars.direction)]
-        counts = [
-            int(((on_plane @ axis).max() - low) / cell) + 1
-            for axis, low in zip((bars.across, bars.direction), ends, strict=True)
-        ]
+        axes = np.stack([bars.across, bars.direction], 1)
+        places = (level.seen - level.height_m * self.plane.normal) @ axes
+        ends, extent = places.min(0), np.ptp(places, axis=0)
+        cell = max(_CELL * bars.width_m, float(extent.max()) / _MOST_CELLS)
+        counts = [int(length / cell) + 1 for length in extent]
         corner = offset * self.plane.normal + ends[0] * bars.across + ends[1] * bars.direction
         # Column and row of a cell, 1 → a point of the level.
         to_level = np.stack([cell * bars.across, cell * bars.direction, corner], 1)
@@ -159,9 +158,10 @@ class _View:
         nothing = float("nan")
         seen = cv2.warpPerspective(self.depth, K @ to_level, size, flags=how, borderValue=nothing)
         depth = _over_cells(to_level[2], size)
+        depth[depth <= 0] = np.nan
         over = np.float32(self.plane.offset + height_m) * (seen / depth - 1)
         within = _SIGMAS * self._sigma(depth) + np.float32(_FLAT * self.opening)
-        inside = self._inside(to_level, size)
+        inside = self._inside(to_level, size) & np.isfinite(depth)
         on = inside & (np.abs(over) < np.minimum(within, np.float32(_MOST * height_m)))
         return on, inside & ~on & ~(over > 0)
 
@@ -214,7 +214,7 @@ class _Patch:
 
     def _tops(self) -> list[_Top]:
         """Narrow, long and straight tops, from left to right."""
-        long = round(_LONG * self.opening)
+        long = max(2, round(_LONG * self.opening))
         runs, holes = np.ones((long, 1), np.uint8), np.ones((3, 1), np.uint8)
         filled = cv2.morphologyEx(self.on.astype(np.uint8), cv2.MORPH_CLOSE, holes)
         # Nothing runs on beyond the patch.
