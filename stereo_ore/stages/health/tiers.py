@@ -56,8 +56,7 @@ def tier_doubts(surface: Surface, screen: Grizzly, volume: Volume | None) -> Ite
     bars, opening = screen.bars, screen.opening_m
     if volume is None or bars is None or opening is None or screen.source == "auto":
         return
-    depth = cv2.extractChannel(surface.xyz, 2)
-    view = _View(surface, np.asarray(depth), screen.plane, volume, opening)
+    view = _View(surface, screen.plane, volume, opening)
     for level in view.levels():
         if any(patch.has_comb() for patch in view.patches(level, bars)):
             text = f"bars are seen {1000 * level.height_m:.0f} mm above the screen's plane"
@@ -76,12 +75,9 @@ class _Level:
 
 @dataclass(frozen=True)
 class _View:
-    """What is seen, its depths (h, w) [m], and the plane, volume and opening [m] that it is looked
-    at with.
-    """
+    """What is seen, and the plane, volume and opening [m] that it is looked at with."""
 
     surface: Surface
-    depth: F32
     plane: Plane
     volume: Volume
     opening: float
@@ -109,9 +105,8 @@ class _View:
 
     def _raised(self) -> tuple[F64, F64]:
         """Points (N, 3) in the volume that may be another tier's, and their heights (N,) [m]."""
-        step = max(1, round(np.sqrt(self.depth.size / _PIXELS)))
-        seen = np.isfinite(self.depth[::step, ::step])
-        xyz = self.surface.xyz[::step, ::step][seen].astype(np.float64)
+        every = self.surface.xyz[:: self._step, :: self._step]
+        xyz = every[np.isfinite(every[..., 2])].astype(np.float64)
         height = self.plane.height(xyz)
         least = np.maximum(_LEAST_RISE * self.opening, _LEAST_SIGMAS * self._sigma(xyz[:, 2]))
         xyz, height = xyz[height > least], height[height > least]
@@ -124,12 +119,17 @@ class _View:
         """
         return depth * np.float32(self._noise * abs(self.plane.offset))
 
+    @property
+    def _step(self) -> int:
+        return max(1, round(float(np.sqrt(self.surface.sigma_z.size / _PIXELS))))
+
     @cached_property
     def _noise(self) -> float:
         """Standard deviation of a depth over its square [1/m]."""
-        known = np.flatnonzero(np.isfinite(self.depth.ravel()))[:1]
-        depth, sigma = self.depth.ravel()[known], self.surface.sigma_z.ravel()[known]
-        return float((sigma / depth**2).sum())
+        every = np.s_[:: self._step, :: self._step]
+        noise = self.surface.sigma_z[every] / self.surface.xyz[..., 2][every] ** 2
+        known = noise[np.isfinite(noise)]
+        return float(np.median(known)) if len(known) else 0.0
 
     def patches(self, level: _Level, bars: Bars) -> Iterator[_Patch]:
         """A level as seen from above, its rows along the bars, and then across them."""
@@ -155,8 +155,8 @@ class _View:
         rig, how = self.surface.rig, cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
         corner = rig.cx - self.surface.x0, rig.cy - self.surface.y0
         K = np.array([[rig.fx, 0, corner[0]], [0, rig.fy, corner[1]], [0, 0, 1]])
-        nothing = float("nan")
-        seen = cv2.warpPerspective(self.depth, K @ to_level, size, flags=how, borderValue=nothing)
+        xyz, nothing = self.surface.xyz, (float("nan"),) * 3
+        seen = cv2.warpPerspective(xyz, K @ to_level, size, flags=how, borderValue=nothing)[..., 2]
         depth = _over_cells(to_level[2], size)
         depth[depth <= 0] = np.nan
         over = np.float32(self.plane.offset + height_m) * (seen / depth - 1)
