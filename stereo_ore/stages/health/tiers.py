@@ -27,8 +27,9 @@ _LEVELS, _NARROW, _WIDE = 3, 3, 15
 _SIGMAS, _FLAT, _MOST = 1.5, 0.04, 0.5
 """What is within so many standard deviations of a height and so many openings of a level lies on
 it, at most within this share of its height."""
-_CELL = 0.4
-"""Edge of the cells that a level is seen in [widths of a bar]."""
+_CELL, _MOST_CELLS = 0.4, 500
+"""Edge of the cells that a level is seen in [widths of a bar], unless that were more cells than
+`_MOST_CELLS` in a row."""
 _LONG, _WIDEST, _LEAST_CELLS = 1.5, 0.6, 1.5
 """Least length and greatest width of a bar's top [openings], and its least width [cells]."""
 _FAR, _UNEVEN, _UNLIKE = 3.0, 0.15, 1.8
@@ -55,8 +56,7 @@ def tier_doubts(surface: Surface, screen: Grizzly, volume: Volume | None) -> Ite
     bars, opening = screen.bars, screen.opening_m
     if volume is None or bars is None or opening is None or screen.source == "auto":
         return
-    depth = cv2.extractChannel(surface.xyz, 2)
-    view = _View(surface, np.asarray(depth), screen.plane, volume, opening)
+    view = _View(surface, screen.plane, volume, opening)
     for level in view.levels():
         if any(patch.has_comb() for patch in view.patches(level, bars)):
             text = f"bars are seen {1000 * level.height_m:.0f} mm above the screen's plane"
@@ -75,12 +75,9 @@ class _Level:
 
 @dataclass(frozen=True)
 class _View:
-    """What is seen, its depths (h, w) [m], and the plane, volume and opening [m] that it is looked
-    at with.
-    """
+    """What is seen, and the plane, volume and opening [m] that it is looked at with."""
 
     surface: Surface
-    depth: F32
     plane: Plane
     volume: Volume
     opening: float
@@ -108,9 +105,8 @@ class _View:
 
     def _raised(self) -> tuple[F64, F64]:
         """Points (N, 3) in the volume that may be another tier's, and their heights (N,) [m]."""
-        step = max(1, round(np.sqrt(self.depth.size / _PIXELS)))
-        seen = np.isfinite(self.depth[::step, ::step])
-        xyz = self.surface.xyz[::step, ::step][seen].astype(np.float64)
+        every = self.surface.xyz[:: self._step, :: self._step]
+        xyz = every[np.isfinite(every[..., 2])].astype(np.float64)
         height = self.plane.height(xyz)
         least = np.maximum(_LEAST_RISE * self.opening, _LEAST_SIGMAS * self._sigma(xyz[:, 2]))
         xyz, height = xyz[height > least], height[height > least]
@@ -123,23 +119,26 @@ class _View:
         """
         return depth * np.float32(self._noise * abs(self.plane.offset))
 
+    @property
+    def _step(self) -> int:
+        return max(1, round(float(np.sqrt(self.surface.sigma_z.size / _PIXELS))))
+
     @cached_property
     def _noise(self) -> float:
         """Standard deviation of a depth over its square [1/m]."""
-        known = np.flatnonzero(np.isfinite(self.depth.ravel()))[:1]
-        depth, sigma = self.depth.ravel()[known], self.surface.sigma_z.ravel()[known]
-        return float((sigma / depth**2).sum())
+        every = np.s_[:: self._step, :: self._step]
+        noise = self.surface.sigma_z[every] / self.surface.xyz[..., 2][every] ** 2
+        known = noise[np.isfinite(noise)]
+        return float(np.median(known)) if len(known) else 0.0
 
     def patches(self, level: _Level, bars: Bars) -> Iterator[_Patch]:
         """A level as seen from above, its rows along the bars, and then across them."""
-        cell = _CELL * bars.width_m
         offset = self.plane.offset + level.height_m
-        on_plane = level.seen - level.height_m * self.plane.normal
-        ends = [(on_plane @ axis).min() for axis in (bars.across, bars.direction)]
-        counts = [
-            int(((on_plane @ axis).max() - low) / cell) + 1
-            for axis, low in zip((bars.across, bars.direction), ends, strict=True)
-        ]
+        axes = np.stack([bars.across, bars.direction], 1)
+        places = (level.seen - level.height_m * self.plane.normal) @ axes
+        ends, extent = places.min(0), np.ptp(places, axis=0)
+        cell = max(_CELL * bars.width_m, float(extent.max()) / _MOST_CELLS)
+        counts = [int(length / cell) + 1 for length in extent]
         corner = offset * self.plane.normal + ends[0] * bars.across + ends[1] * bars.direction
         # Column and row of a cell, 1 → a point of the level.
         to_level = np.stack([cell * bars.across, cell * bars.direction, corner], 1)
@@ -156,12 +155,13 @@ class _View:
         rig, how = self.surface.rig, cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
         corner = rig.cx - self.surface.x0, rig.cy - self.surface.y0
         K = np.array([[rig.fx, 0, corner[0]], [0, rig.fy, corner[1]], [0, 0, 1]])
-        nothing = float("nan")
-        seen = cv2.warpPerspective(self.depth, K @ to_level, size, flags=how, borderValue=nothing)
+        xyz, nothing = self.surface.xyz, (float("nan"),) * 3
+        seen = cv2.warpPerspective(xyz, K @ to_level, size, flags=how, borderValue=nothing)[..., 2]
         depth = _over_cells(to_level[2], size)
+        depth[depth <= 0] = np.nan
         over = np.float32(self.plane.offset + height_m) * (seen / depth - 1)
         within = _SIGMAS * self._sigma(depth) + np.float32(_FLAT * self.opening)
-        inside = self._inside(to_level, size)
+        inside = self._inside(to_level, size) & np.isfinite(depth)
         on = inside & (np.abs(over) < np.minimum(within, np.float32(_MOST * height_m)))
         return on, inside & ~on & ~(over > 0)
 
@@ -214,7 +214,7 @@ class _Patch:
 
     def _tops(self) -> list[_Top]:
         """Narrow, long and straight tops, from left to right."""
-        long = round(_LONG * self.opening)
+        long = max(2, round(_LONG * self.opening))
         runs, holes = np.ones((long, 1), np.uint8), np.ones((3, 1), np.uint8)
         filled = cv2.morphologyEx(self.on.astype(np.uint8), cv2.MORPH_CLOSE, holes)
         # Nothing runs on beyond the patch.
