@@ -169,10 +169,14 @@ def _tests(
 
 
 def _flat_enough(patches: Patches, config: StrikeConfig) -> F64:
-    """Residual allowed [m]: the tool's tolerance, with the depth noise that no face can be free
-    of.
+    """Residual allowed [m]: the tool's tolerance, with the depth noise that no face can be free of.
+
+    More than a depth may be unsure by is allowed for roughness only: what scatters further was
+    measured worse than its noise foretells.
     """
-    return np.asarray(np.hypot(config.max_roughness_m, 2.0 * patches.sigma_z))
+    noisy = np.hypot(config.max_roughness_m, 2.0 * patches.sigma_z)
+    sure = np.maximum(config.max_roughness_m, config.max_depth_sigma * patches.xyz[:, 2])
+    return np.asarray(np.minimum(noisy, sure))
 
 
 def _within_reach(xyz: F64, site: Site) -> Mask:
