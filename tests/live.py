@@ -96,7 +96,7 @@ def free_port() -> int:
 
 
 def wait_for(
-    condition: Callable[[], object], timeout_s: float = 20.0, what: str = "condition"
+    condition: Callable[[], object], timeout_s: float = 60.0, what: str = "condition"
 ) -> None:
     end = time.monotonic() + timeout_s
     while not condition():
