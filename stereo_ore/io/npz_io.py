@@ -34,14 +34,15 @@ def load_array(path: Path, error: type[StereoOreError]) -> _Array:
 
 
 def load_arrays(
-    path: Path, error: type[StereoOreError], most_bytes: int = MAX_UNPACKED_BYTES
+    path: Path, error: type[StereoOreError], most_bytes: int | None = None
 ) -> dict[str, _Array]:
     """The arrays of an NPZ file by name; `error` for anything that is none, or unpacks to more than
-    `most_bytes`.
+    `most_bytes`, which is `MAX_UNPACKED_BYTES` where none is given.
     """
+    most = MAX_UNPACKED_BYTES if most_bytes is None else most_bytes
     with _known_faults(path, error, "NPZ"), zipfile.ZipFile(path) as archive:
         entries = archive.infolist()
-        _require(sum(entry.file_size for entry in entries), most_bytes, path, error)
+        _require(sum(entry.file_size for entry in entries), most, path, error)
         arrays = {}
         for entry in entries:
             with archive.open(entry) as file:
