@@ -258,9 +258,10 @@ def live_through(
     assert plant.sink.full > 10
     assert any("No space left" in alarm for alarm in plant.alarms)
     assert max(sample[2] for sample in plant.samples) < 2.2e6 + 20_000 * 60 / period_s
-    # Flat while names are used again; with a name a frame the inbox holds more of them.
-    assert memory[8] < 1.05 * memory[0] + 10
-    assert memory[-1] < 1.05 * memory[10] + 5
+    # What waits on a full disk, or in a backlog, raises memory once; between such days it is flat.
+    for first, last in ((4, 6), (10, 12), (24, 30)):
+        assert memory[last - 2] < 1.02 * memory[first - 2] + 3
+    assert memory[-1] < memory[0] + 50
     assert max(sample[3] for sample in plant.samples[-10:]) < 2 * (INBOX_S / period_s + 10)
     assert plant.version == 3
 
