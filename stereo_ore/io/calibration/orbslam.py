@@ -18,12 +18,13 @@ from stereo_ore.io.calibration.formats import (
     Hints,
     numbers,
     raw_only,
+    rigid_transform,
     size_of,
     tell_unread,
     without_tail,
 )
 from stereo_ore.io.calibration.geometry import make_calibration
-from stereo_ore.transforms import inverse, rotation_fault
+from stereo_ore.transforms import inverse
 from stereo_ore.types import CameraModel, StereoCalibration
 
 _log = logging.getLogger(__name__)
@@ -116,10 +117,7 @@ def _version_3(path: Path, data: dict[str, Any], hints: Hints) -> StereoCalibrat
     if kind not in _COEFFICIENTS:
         problem = f"{kind!r:.40} is none of {', '.join(_COEFFICIENTS)}"
         raise CalibrationError(problem, file=path, key="Camera.type")
-    T_left_right = numbers(path, "Stereo.T_c1_c2", data.get("Stereo.T_c1_c2"), 16).reshape(4, 4)
-    if fault := rotation_fault(T_left_right[:3, :3]):
-        raise CalibrationError(f"the rotation {fault}", file=path, key="Stereo.T_c1_c2")
-    T = inverse(T_left_right)
+    T = inverse(rigid_transform(path, "Stereo.T_c1_c2", data.get("Stereo.T_c1_c2")))
     left, right = (_camera(path, data, name, kind) for name in ("Camera1", "Camera2"))
     if any(left.distortion) != any(right.distortion):
         _log.warning("%s: only one eye has distortion; the other is taken for an ideal lens", path)
